@@ -1,0 +1,1 @@
+//! Benchmarks against peers and naive twins; heavy dependencies stay here.

@@ -1,0 +1,1 @@
+//! Texture space: atlas, transfer by mirrored vertices, dilation, tangents.

@@ -1,0 +1,1 @@
+//! Incremental execution: actions, fingerprints, store, leases; knows no mesh and no TOML.

@@ -1,0 +1,1 @@
+//! The container: byte layout, versions, checked zero-copy reader, deterministic writer.

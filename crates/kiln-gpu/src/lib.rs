@@ -1,0 +1,1 @@
+//! One device: adapter choice, buffers, readback; says clearly when there is none.

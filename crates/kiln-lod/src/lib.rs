@@ -1,0 +1,1 @@
+//! Geometry: merge, simplify (metrics, placement, budgets, collapse sequence).

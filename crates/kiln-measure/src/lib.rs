@@ -1,0 +1,1 @@
+//! How far two assets are apart: renders, surface distance, contact sheets.

@@ -1,0 +1,1 @@
+//! A level set to a container and back; GLB and PNG out.

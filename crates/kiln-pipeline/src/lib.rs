@@ -1,0 +1,1 @@
+//! The TOML language, its diagnostics, the stage graph; one adapter file a stage.

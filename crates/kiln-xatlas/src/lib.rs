@@ -1,0 +1,1 @@
+//! A worker program around xatlas, run as a killable child by the atlas stage.

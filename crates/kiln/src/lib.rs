@@ -1,0 +1,1 @@
+//! The kiln command, and the library that build scripts call.

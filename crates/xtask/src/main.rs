@@ -1,0 +1,47 @@
+//! The project's own chores, as `cargo xtask NAME`; `cargo xtask` lists them.
+
+mod corpus;
+mod fixtures;
+mod pictures;
+mod tidy;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+const HELP: &str = "\
+cargo xtask NAME
+
+  tidy                 layering, shader twins, fixture table, default dependencies, machine paths
+  fixtures [--check]   write fixtures/ from their generator, or check that they are what it gives
+  corpus [NAME...]     build real models end to end (needs KILN_CORPUS); --out FILE writes the table
+  pictures ...         render models and containers side by side
+  long                 what takes longer than CI allows; logs go to docs/results/";
+
+fn main() -> ExitCode {
+    let mut args = std::env::args().skip(1);
+    let name = args.next().unwrap_or_default();
+    let args: Vec<String> = args.collect();
+    let root = root();
+    let result = match name.as_str() {
+        "tidy" => tidy::run(&root),
+        "fixtures" if args.iter().any(|a| a == "--check") => fixtures::check(&root),
+        "fixtures" => fixtures::run(&root),
+        "corpus" => corpus::run(&root, &args),
+        "pictures" => pictures::run(&args),
+        "long" => corpus::long(&root, &args),
+        _ => Err(HELP.into()),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            eprintln!("{message}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// The repository's root: two folders above this package.
+fn root() -> PathBuf {
+    let package = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    package.ancestors().nth(2).map(PathBuf::from).unwrap_or(package)
+}

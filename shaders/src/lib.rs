@@ -1,1 +1,66 @@
 //! Every shader pass as a constant, with its hash and the path of its CPU twin.
+//!
+//! A pass is one `.wgsl` file in this package's folder. Its opening comment says what one invocation computes, what it
+//! reads and writes, and names its twin: the Rust file of the same stem that computes the same thing without a GPU and that
+//! a test compares it with.
+
+/// One shader pass.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shader {
+    /// Stem of its file.
+    pub name: &'static str,
+    /// WGSL text.
+    pub source: &'static str,
+    /// Path of its CPU twin from the workspace's root, '/'-separated.
+    pub twin: &'static str,
+}
+
+impl Shader {
+    /// BLAKE3 of the WGSL text: what a fingerprint of a GPU stage covers.
+    pub fn hash(&self) -> [u8; 32] {
+        *blake3::hash(self.source.as_bytes()).as_bytes()
+    }
+}
+
+/// The bake's hit pass: which high triangle lies nearest to the low triangle that owns a texel.
+pub const MIRRORED_VERTEX: Shader = Shader {
+    name: "mirrored_vertex",
+    source: include_str!("../mirrored_vertex.wgsl"),
+    twin: "crates/kiln-bake/src/transfer/mirrored_vertex.rs",
+};
+
+/// All passes, by name.
+pub const ALL: &[Shader] = &[MIRRORED_VERTEX];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    #[test]
+    fn every_wgsl_file_is_a_constant_and_names_its_twin() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let mut stems: Vec<String> = std::fs::read_dir(folder)
+            .expect("the package's folder")
+            .map(|entry| entry.expect("entry").path())
+            .filter(|path| path.extension().is_some_and(|e| e == "wgsl"))
+            .map(|path| path.file_stem().expect("stem").to_string_lossy().into_owned())
+            .collect();
+        stems.sort();
+        assert_eq!(stems, ALL.iter().map(|s| s.name).collect::<Vec<_>>());
+        for shader in ALL {
+            let opening: Vec<&str> = shader.source.lines().take_while(|l| l.starts_with("//")).collect();
+            assert!(opening.iter().any(|l| l.contains(shader.twin)), "{} does not name {}", shader.name, shader.twin);
+            assert!(shader.twin.ends_with(&format!("/{}.rs", shader.name)));
+            assert!(folder.join("..").join(shader.twin).is_file(), "{} is missing", shader.twin);
+        }
+    }
+
+    #[test]
+    fn the_hash_is_that_of_the_text() {
+        let hash = MIRRORED_VERTEX.hash();
+        assert_eq!(hash, *blake3::hash(include_bytes!("../mirrored_vertex.wgsl")).as_bytes());
+        let other = Shader { source: "// another text", ..MIRRORED_VERTEX };
+        assert_ne!(hash, other.hash());
+    }
+}

@@ -1,1 +1,55 @@
-//! The container: byte layout, versions, checked zero-copy reader, deterministic writer.
+//! The container: byte layout, versions, checked zero-copy reader, deterministic writer. `formats/container-v1.md` in the
+//! repository is the specification; where this crate and that page differ, one of them is wrong.
+//!
+//! **Problem.** Levels of detail, their materials and textures come in; one file goes out that engines map and lend to the
+//! GPU as it is, whose coarse levels are usable before the rest has arrived, that says when it is damaged, and that readers
+//! of other versions read or refuse for a stated reason.
+//!
+//! **Method.**
+//! ```text
+//! write:  tables and payload -> sections; place them: tables, coarse to fine geometry with mip tails, large mips
+//!         append each at its alignment, zeros between; hash each; write the section table; write the header and its hash
+//! open:   envelope: header, hash of header and table, sections tile the file exactly, hash of each
+//!         content:  tables are as long as their counts, every reference in range, every number finite
+//!         payload:  arrays tile their section, indices below the vertex count, boxes the smallest
+//! check:  the same walk, all findings instead of the first
+//! ```
+//! Reading order: [`record`] (the bytes), [`kind`] (registries), `envelope`, `content` (the checks), [`container`], [`write`],
+//! [`error`] (one code a check).
+//!
+//! **Limits.** `open` reads every byte once (hashes and indices); a lazy mode and a mapped file wait for the runtime's own
+//! chapter. One codec, `none`. Vertex formats are unquantised. Little-endian hosts only.
+//!
+//! Sources: the layout rules follow what KTX 2.0 (Khronos, 2020), PNG (ISO/IEC 15948:2004, the magic) and safetensors
+//! (no holes, no overlap, capped counts) do; BLAKE3 by O'Connor, Aumasson, Neves, Wilcox-O'Hearn, 2020.
+
+pub mod aligned;
+pub mod container;
+mod content;
+mod envelope;
+pub mod error;
+pub mod kind;
+mod provenance;
+pub mod record;
+#[cfg(test)]
+mod tests;
+pub mod write;
+
+pub use aligned::AlignedBytes;
+pub use container::{Container, Indices, LevelView, Section, check};
+pub use content::full_mip_count;
+pub use error::{CheckReport, Code, FormatError};
+pub use kind::{Channel, ErrorKind, Kind, Role, Semantic, TextureFormat, VertexFormat};
+pub use provenance::Provenance;
+pub use record::{DrawRange, LevelRecord, MaterialRecord, MipRecord, SlotRecord, SubmeshRecord, TextureRecord};
+pub use write::{Content, LevelContent, PrivateSection, SubmeshContent, TextureContent, write};
+
+/// Bits that a submesh's attribute set may have: one a semantic.
+pub const ATTRIBUTE_BITS: u32 = {
+    let (mut bits, mut n) = (0, 1);
+    while n <= 8 {
+        bits |= 1 << n;
+        n += 1;
+    }
+    bits
+};

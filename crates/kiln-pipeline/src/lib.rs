@@ -1,1 +1,3 @@
 //! The TOML language, its diagnostics, the stage graph; one adapter file a stage.
+
+pub mod language;

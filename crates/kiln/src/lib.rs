@@ -1,1 +1,28 @@
-//! The kiln command, and the library that build scripts call.
+//! kiln: the offline LOD baker, as a library for build scripts and as a command.
+//!
+//! ```no_run
+//! use kiln::Build;
+//!
+//! let outcome = Build::new("assets/pot.toml").run(&kiln::NoObserver)?;
+//! for asset in &outcome.summary.assets {
+//!     println!("{}: {} bytes", asset.output, asset.bytes);
+//! }
+//! # Ok::<(), kiln::BuildError>(())
+//! ```
+//!
+//! Reading order: [`build`] (what a build does beside the engine), [`summary`] (what it says afterwards), [`exit`] (the one table
+//! of exit codes), [`worker`] (the child process around xatlas), `command` (the command line, behind the feature `cli`).
+
+pub mod build;
+pub mod summary;
+pub mod exit;
+pub mod memory;
+pub mod worker;
+#[cfg(feature = "cli")]
+pub mod command;
+
+pub use build::{Build, BuildError, Outcome, WhyOutcome, why};
+pub use exit::Exit;
+pub use kiln_engine::{Event, NoObserver, Observer};
+pub use kiln_pipeline::stages::Backend;
+pub use summary::{AssetSummary, StageState, StageSummary, Summary};

@@ -1,1 +1,5 @@
-fn main() {}
+//! The command `kiln`.
+
+fn main() -> std::process::ExitCode {
+    kiln::command::main()
+}

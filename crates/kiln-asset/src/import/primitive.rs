@@ -1,0 +1,479 @@
+//! Meshes and primitives: which accessors they may use, and their contents in the mesh's own space, checked and repaired.
+
+use glam::{DVec3, Vec2, Vec3, Vec4};
+
+use super::accessor::{Accessor, Component, Reader};
+use super::error::Defects;
+use super::json::Object;
+use super::material::note_extensions;
+use super::report::{Notes, RepairKind};
+use super::source::Bytes;
+use crate::mesh::AttributeSet;
+
+/// How triangles follow from indices.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Mode {
+    Triangles,
+    Strip,
+    Fan,
+}
+
+/// A mesh of the file.
+pub(super) struct MeshDef {
+    pub(super) name: String,
+    pub(super) primitives: Vec<PrimitiveDef>,
+}
+
+/// A primitive whose accessors suit their use.
+pub(super) struct PrimitiveDef {
+    path: String,
+    mode: Mode,
+    indices: Option<usize>,
+    /// Accessors by [`Semantic`].
+    attributes: [Option<usize>; SEMANTICS.len()],
+    pub(super) material: Option<usize>,
+    /// Vertices stored.
+    pub(super) vertex_count: u64,
+    /// Corners: indices, or vertices where there are none.
+    corner_count: u64,
+}
+
+impl PrimitiveDef {
+    /// Vertices that its triangles can use at most.
+    pub(super) fn used_vertices_at_most(&self) -> u64 {
+        self.vertex_count.min(self.corner_count)
+    }
+
+    pub(super) fn triangle_count(&self) -> u64 {
+        match self.mode {
+            Mode::Triangles => self.corner_count / 3,
+            Mode::Strip | Mode::Fan => self.corner_count.saturating_sub(2),
+        }
+    }
+}
+
+#[derive(Clone, Copy)]
+enum Semantic {
+    Position,
+    Normal,
+    Tangent,
+    Uv0,
+    Uv1,
+    Color,
+    Joints,
+    Weights,
+}
+
+type Rule = (&'static str, &'static [&'static str], &'static [(Component, bool)]);
+
+const FLOAT: &[(Component, bool)] = &[(Component::F32, false)];
+const UNIT: &[(Component, bool)] = &[(Component::F32, false), (Component::U8, true), (Component::U16, true)];
+const SMALL: &[(Component, bool)] = &[(Component::U8, false), (Component::U16, false)];
+const INDEX: &[(Component, bool)] = &[(Component::U8, false), (Component::U16, false), (Component::U32, false)];
+
+/// What core glTF 2.0 (3.7.2.1) allows for each attribute, in the order of [`Semantic`].
+const SEMANTICS: [Rule; 8] = [
+    ("POSITION", &["VEC3"], FLOAT),
+    ("NORMAL", &["VEC3"], FLOAT),
+    ("TANGENT", &["VEC4"], FLOAT),
+    ("TEXCOORD_0", &["VEC2"], UNIT),
+    ("TEXCOORD_1", &["VEC2"], UNIT),
+    ("COLOR_0", &["VEC3", "VEC4"], UNIT),
+    ("JOINTS_0", &["VEC4"], SMALL),
+    ("WEIGHTS_0", &["VEC4"], UNIT),
+];
+
+const DRACO: &str = "KHR_draco_mesh_compression";
+const QUANTIZATION: &str = "KHR_mesh_quantization";
+
+/// What primitives are judged against.
+pub(super) struct Context<'a> {
+    pub(super) accessors: &'a [Option<Accessor>],
+    pub(super) material_count: usize,
+    /// `KHR_mesh_quantization` is in use.
+    pub(super) quantized: bool,
+}
+
+/// The meshes; defective primitives are left out, each with its defects noted.
+pub(super) fn read_meshes(
+    root: &Object<'_>, context: &Context<'_>, defects: &mut Defects, notes: &mut Notes,
+) -> Vec<MeshDef> {
+    let mut out = Vec::new();
+    for mesh in root.objects("meshes", defects) {
+        let Some(mesh) = mesh else {
+            out.push(MeshDef { name: String::new(), primitives: Vec::new() });
+            continue;
+        };
+        note_extensions(&mesh, &[], defects, notes);
+        let name = mesh.string("name", defects).unwrap_or_default().to_owned();
+        if mesh.count("primitives") == 0 {
+            defects.invalid(mesh.path_of("primitives"), "is missing or empty");
+        }
+        let primitives = mesh.objects("primitives", defects);
+        let primitives =
+            primitives.iter().filter_map(|p| read_primitive(p.as_ref()?, context, defects, notes)).collect();
+        out.push(MeshDef { name, primitives });
+    }
+    out
+}
+
+fn read_primitive(
+    object: &Object<'_>, context: &Context<'_>, defects: &mut Defects, notes: &mut Notes,
+) -> Option<PrimitiveDef> {
+    note_extensions(object, &[], defects, notes);
+    notes.not_carried("morph targets", object.count("targets") as u64);
+    let mode = read_mode(object, defects);
+    let material = match object.has("material") {
+        true => Some(object.index("material", "materials", context.material_count, defects)?),
+        false => None,
+    };
+    let list = object.need_object("attributes", defects)?;
+    for name in list.keys().filter(|name| SEMANTICS.iter().all(|rule| rule.0 != *name)) {
+        notes.not_carried(&format!("attribute {name}"), 1);
+        list.index(name, "accessors", context.accessors.len(), defects);
+    }
+    let draco = object.object("extensions", defects).is_some_and(|e| e.has(DRACO));
+    let mut attributes = [None; SEMANTICS.len()];
+    let mut vertex_count = None;
+    let mut whole = true;
+    for (slot, rule) in attributes.iter_mut().zip(SEMANTICS) {
+        if !list.has(rule.0) {
+            continue;
+        }
+        let Some((index, accessor)) = usable(&list, rule, context, draco, defects) else {
+            whole = false;
+            continue;
+        };
+        *slot = Some(index);
+        let count = *vertex_count.get_or_insert(accessor.count);
+        if count != accessor.count {
+            let message = format!("{} elements, but the first attribute has {count}", accessor.count);
+            defects.invalid(list.path_of(rule.0), message);
+            whole = false;
+        }
+    }
+    if !list.has("POSITION") {
+        defects.invalid(list.path_of("POSITION"), "is missing");
+        return None;
+    }
+    if attributes[Semantic::Joints as usize].is_some() != attributes[Semantic::Weights as usize].is_some() && whole {
+        defects.invalid(list.path.clone(), "JOINTS_0 and WEIGHTS_0 come only together");
+    }
+    let mut corner_count = vertex_count;
+    let mut indices = None;
+    if object.has("indices") {
+        let (index, accessor) = usable(object, ("indices", &["SCALAR"], INDEX), context, draco, defects)?;
+        indices = Some(index);
+        corner_count = Some(accessor.count);
+    }
+    if !whole {
+        return None;
+    }
+    Some(PrimitiveDef {
+        path: object.path.clone(),
+        mode: mode?,
+        indices,
+        attributes,
+        material,
+        vertex_count: vertex_count?,
+        corner_count: corner_count?,
+    })
+}
+
+fn read_mode(object: &Object<'_>, defects: &mut Defects) -> Option<Mode> {
+    let mode = if object.has("mode") { object.unsigned("mode", defects)? } else { 4 };
+    let unsupported = match mode {
+        4 => return Some(Mode::Triangles),
+        5 => return Some(Mode::Strip),
+        6 => return Some(Mode::Fan),
+        0 => "POINTS",
+        1 => "LINES",
+        2 => "LINE_LOOP",
+        3 => "LINE_STRIP",
+        _ => {
+            defects.invalid(object.path_of("mode"), format!("{mode} is no mode of glTF 2.0"));
+            return None;
+        }
+    };
+    defects.unsupported(object.path_of("mode"), format!("{unsupported}; only triangles are read"));
+    None
+}
+
+/// The accessor that `object.key` refers to, if it suits the rule and has data.
+fn usable<'a>(
+    object: &Object<'_>, (key, shapes, components): Rule, context: &Context<'a>, draco: bool, defects: &mut Defects,
+) -> Option<(usize, &'a Accessor)> {
+    let index = object.index(key, "accessors", context.accessors.len(), defects)?;
+    let accessor = context.accessors[index].as_ref()?;
+    let path = object.path_of(key);
+    if !shapes.contains(&accessor.shape) || !components.contains(&(accessor.component, accessor.normalized)) {
+        let names = |(component, normalized): &(Component, bool)| {
+            format!("{}{}", if *normalized { "normalized " } else { "" }, component.name())
+        };
+        let expected = components.iter().map(names).collect::<Vec<_>>().join(" or ");
+        let message = format!("expected {} of {expected}, found {}", shapes.join(" or "), accessor.describe());
+        match context.quantized && key != "indices" {
+            true => defects.unsupported(path, format!("{QUANTIZATION}: {message}; write plain floats")),
+            false => defects.invalid(path, message),
+        }
+        return None;
+    }
+    if !accessor.has_data() {
+        match draco {
+            true => defects.unsupported(path, format!("{DRACO}: the compressed data is not read; write plain accessors")),
+            false => defects.unsupported(path, format!("{} has neither a buffer view nor replaced elements", accessor.path)),
+        }
+        return None;
+    }
+    Some((index, accessor))
+}
+
+/// A primitive's contents in its mesh's space, unused vertices left out.
+pub(super) struct Primitive {
+    pub(super) material: Option<usize>,
+    pub(super) attributes: AttributeSet,
+    pub(super) positions: Vec<Vec3>,
+    pub(super) normals: Vec<Vec3>,
+    pub(super) tangents: Vec<Vec4>,
+    pub(super) uv0: Vec<Vec2>,
+    pub(super) uv1: Vec<Vec2>,
+    pub(super) colors: Vec<Vec4>,
+    pub(super) joints: Vec<[u16; 4]>,
+    pub(super) weights: Vec<Vec4>,
+    /// Into this primitive's own vertices.
+    pub(super) triangles: Vec<[u32; 3]>,
+}
+
+/// Reads a primitive's contents. `None` where a defect was noted.
+pub(super) fn read_contents(
+    def: &PrimitiveDef, accessors: &[Option<Accessor>], buffers: &[Bytes<'_>], defects: &mut Defects, notes: &mut Notes,
+) -> Option<Primitive> {
+    let corners = read_corners(def, accessors, buffers, defects)?;
+    let mut triangles = triangulate(def.mode, &corners);
+    if def.mode == Mode::Triangles {
+        notes.repair(RepairKind::IndicesLeftOver, (corners.len() % 3) as u64, || def.path.clone());
+    }
+    let used = compact(&mut triangles, def.vertex_count);
+    notes.repair(RepairKind::VerticesUnused, def.vertex_count - used.len() as u64, || def.path.clone());
+
+    let mut broken = false;
+    let mut reader = |semantic: Semantic| {
+        let accessor = accessors[def.attributes[semantic as usize]?].as_ref()?;
+        let reader = Reader::new(accessor, buffers, defects);
+        broken |= reader.is_none();
+        reader
+    };
+    let position = reader(Semantic::Position);
+    let normal = reader(Semantic::Normal);
+    let tangent = reader(Semantic::Tangent);
+    let uv = [reader(Semantic::Uv0), reader(Semantic::Uv1)];
+    let color = reader(Semantic::Color);
+    let joints = reader(Semantic::Joints);
+    let weights = reader(Semantic::Weights);
+    if broken {
+        return None;
+    }
+    let mut repairs = Repairs { path: &def.path, notes };
+    let positions = read_positions(&position?, &used, &def.path, defects)?;
+    let normals = normal.map(|reader| repairs.normals(&reader, &used, &positions, &triangles)).unwrap_or_default();
+    let tangents = tangent.map(|reader| repairs.tangents(&reader, &used, &normals)).unwrap_or_default();
+    let [uv0, uv1] = uv.map(|reader| reader.map(|reader| repairs.uvs(&reader, &used)).unwrap_or_default());
+    let colors = color.map(|reader| repairs.colors(&reader, &used)).unwrap_or_default();
+    let weights = weights.map(|reader| repairs.weights(&reader, &used)).unwrap_or_default();
+    let joints: Vec<[u16; 4]> = joints
+        .map(|reader| used.iter().map(|v| reader.unsigned::<4>(*v).map(|j| j as u16)).collect())
+        .unwrap_or_default();
+    let attributes = AttributeSet {
+        normals: !normals.is_empty(),
+        tangents: !tangents.is_empty(),
+        uv0: !uv0.is_empty(),
+        uv1: !uv1.is_empty(),
+        colors: !colors.is_empty(),
+        skin: !joints.is_empty(),
+    };
+    let material = def.material;
+    Some(Primitive {
+        material, attributes, positions, normals, tangents, uv0, uv1, colors, joints, weights, triangles,
+    })
+}
+
+fn read_corners(
+    def: &PrimitiveDef, accessors: &[Option<Accessor>], buffers: &[Bytes<'_>], defects: &mut Defects,
+) -> Option<Vec<u32>> {
+    let Some(index) = def.indices else { return Some((0..def.corner_count as u32).collect()) };
+    let accessor = accessors[index].as_ref()?;
+    let reader = Reader::new(accessor, buffers, defects)?;
+    let restart = accessor.component.greatest();
+    let mut corners = Vec::with_capacity(def.corner_count as usize);
+    let mut wrong = 0u64;
+    for i in 0..def.corner_count as u32 {
+        let [vertex] = reader.unsigned::<1>(i);
+        if vertex as u64 >= def.vertex_count || vertex == restart {
+            if wrong == 0 {
+                let message = match vertex == restart {
+                    true => format!("index {i} is the restart value {vertex}, which glTF does not allow"),
+                    false => format!("index {i} is {vertex}, but there are {} vertices", def.vertex_count),
+                };
+                defects.invalid(format!("{}.indices", def.path), message);
+            }
+            wrong += 1;
+        }
+        corners.push(vertex);
+    }
+    (wrong == 0).then_some(corners)
+}
+
+/// Triangles by glTF 2.0, 3.7.2.1: all of a strip have the winding of its first.
+fn triangulate(mode: Mode, corners: &[u32]) -> Vec<[u32; 3]> {
+    match mode {
+        Mode::Triangles => corners.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect(),
+        Mode::Strip => {
+            let turn = |(i, c): (usize, &[u32])| if i % 2 == 0 { [c[0], c[1], c[2]] } else { [c[0], c[2], c[1]] };
+            corners.windows(3).enumerate().map(turn).collect()
+        }
+        Mode::Fan => match corners.split_first() {
+            Some((hub, rest)) => rest.windows(2).map(|c| [c[0], c[1], *hub]).collect(),
+            None => Vec::new(),
+        },
+    }
+}
+
+/// The vertices that `triangles` use, ascending; `triangles` then index into them. Work and memory follow the triangles, not the
+/// vertices: many primitives may share one large vertex buffer.
+pub(super) fn compact(triangles: &mut [[u32; 3]], vertex_count: u64) -> Vec<u32> {
+    /// A table over all vertices pays while there are no more than so many for each triangle.
+    const TABLE_VERTICES: u64 = 16;
+    if vertex_count <= TABLE_VERTICES * triangles.len() as u64 {
+        let mut rank = vec![u32::MAX; vertex_count as usize];
+        triangles.iter().flatten().for_each(|v| rank[*v as usize] = 0);
+        let used: Vec<u32> = (0..vertex_count as u32).filter(|v| rank[*v as usize] == 0).collect();
+        used.iter().enumerate().for_each(|(i, v)| rank[*v as usize] = i as u32);
+        triangles.iter_mut().flatten().for_each(|v| *v = rank[*v as usize]);
+        return used;
+    }
+    let mut used: Vec<u32> = triangles.iter().flatten().copied().collect();
+    used.sort_unstable();
+    used.dedup();
+    triangles.iter_mut().flatten().for_each(|v| *v = used.partition_point(|u| *u < *v) as u32);
+    used
+}
+
+fn read_positions(reader: &Reader<'_>, used: &[u32], path: &str, defects: &mut Defects) -> Option<Vec<Vec3>> {
+    let positions: Vec<Vec3> = used.iter().map(|v| Vec3::from_array(reader.floats(*v, 0.0))).collect();
+    let mut wrong = positions.iter().zip(used).filter(|(p, _)| !p.is_finite());
+    if let Some((position, v)) = wrong.next() {
+        let message = format!("vertex {v} lies at {position}, and so do {} more: not finite", wrong.count());
+        defects.invalid(format!("{path}.attributes.POSITION"), message);
+        return None;
+    }
+    Some(positions)
+}
+
+/// Reads attributes and repairs them by the rules of [`RepairKind`].
+struct Repairs<'a> {
+    path: &'a str,
+    notes: &'a mut Notes,
+}
+
+impl Repairs<'_> {
+    fn note(&mut self, kind: RepairKind, count: usize, semantic: Semantic) {
+        let (name, ..) = SEMANTICS[semantic as usize];
+        self.notes.repair(kind, count as u64, || format!("{}.attributes.{name}", self.path));
+    }
+
+    fn normals(
+        &mut self, reader: &Reader<'_>, used: &[u32], positions: &[Vec3], triangles: &[[u32; 3]],
+    ) -> Vec<Vec3> {
+        let mut normals: Vec<Vec3> = used.iter().map(|v| Vec3::from_array(reader.floats(*v, 0.0))).collect();
+        let directed = |n: &Vec3| n.is_finite() && n.length_squared() > 1e-12 && n.length_squared().is_finite();
+        let lost = normals.iter().filter(|n| !directed(n)).count();
+        if lost > 0 {
+            let rebuilt = vertex_normals(positions, triangles);
+            normals.iter_mut().zip(rebuilt).filter(|(n, _)| !directed(n)).for_each(|(n, rebuilt)| *n = rebuilt);
+        }
+        let off = normals.iter().filter(|n| (n.length() - 1.0).abs() > 0.01).count();
+        for normal in &mut normals {
+            // What is of unit length to rounding keeps its bits.
+            if (normal.length_squared() - 1.0).abs() > 1e-6 {
+                *normal = normal.normalize_or(Vec3::Y);
+            }
+        }
+        self.note(RepairKind::NormalRebuilt, lost, Semantic::Normal);
+        self.note(RepairKind::NormalScaled, off, Semantic::Normal);
+        normals
+    }
+
+    fn tangents(&mut self, reader: &Reader<'_>, used: &[u32], normals: &[Vec3]) -> Vec<Vec4> {
+        if normals.is_empty() {
+            self.note(RepairKind::TangentsDropped, used.len(), Semantic::Tangent);
+            return Vec::new();
+        }
+        let (mut rebuilt, mut signs) = (0, 0);
+        let repair = |(v, normal): (&u32, &Vec3)| {
+            let [x, y, z, w] = reader.floats(*v, 0.0);
+            let mut tangent = Vec3::new(x, y, z);
+            let square = tangent.length_squared();
+            if !square.is_finite() || square <= 1e-12 {
+                rebuilt += 1;
+                tangent = normal.any_orthonormal_vector();
+            } else if (square - 1.0).abs() > 1e-6 {
+                tangent = tangent.normalize_or(Vec3::X);
+            }
+            let sign = if w.is_sign_negative() && !w.is_nan() && w != 0.0 { -1.0 } else { 1.0 };
+            signs += (w != sign) as usize;
+            tangent.extend(sign)
+        };
+        let tangents = used.iter().zip(normals).map(repair).collect();
+        self.note(RepairKind::TangentRebuilt, rebuilt, Semantic::Tangent);
+        self.note(RepairKind::TangentSign, signs, Semantic::Tangent);
+        tangents
+    }
+
+    fn uvs(&mut self, reader: &Reader<'_>, used: &[u32]) -> Vec<Vec2> {
+        let mut lost = 0;
+        let read = |v: &u32| {
+            let uv = Vec2::from_array(reader.floats(*v, 0.0));
+            lost += !uv.is_finite() as usize;
+            if uv.is_finite() { uv } else { Vec2::ZERO }
+        };
+        let uvs = used.iter().map(read).collect();
+        self.note(RepairKind::UvNotFinite, lost, Semantic::Uv0);
+        uvs
+    }
+
+    fn colors(&mut self, reader: &Reader<'_>, used: &[u32]) -> Vec<Vec4> {
+        let mut lost = 0;
+        let read = |v: &u32| {
+            let color = Vec4::from_array(reader.floats(*v, 1.0));
+            lost += !color.is_finite() as usize;
+            if color.is_finite() { color } else { Vec4::ONE }
+        };
+        let colors = used.iter().map(read).collect();
+        self.note(RepairKind::ColorNotFinite, lost, Semantic::Color);
+        colors
+    }
+
+    fn weights(&mut self, reader: &Reader<'_>, used: &[u32]) -> Vec<Vec4> {
+        let mut lost = 0;
+        let read = |v: &u32| {
+            let raw: [f32; 4] = reader.floats(*v, 0.0);
+            let good = raw.map(|w| if w.is_finite() && w >= 0.0 { w } else { 0.0 });
+            lost += (good != raw) as usize;
+            Vec4::from_array(good)
+        };
+        let weights = used.iter().map(read).collect();
+        self.note(RepairKind::WeightNotFinite, lost, Semantic::Weights);
+        weights
+    }
+}
+
+/// `[vertex_count]`: area-weighted mean of the normals of each vertex's own faces; +Y where that has no direction.
+fn vertex_normals(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
+    let mut sums = vec![DVec3::ZERO; positions.len()];
+    for triangle in triangles {
+        let [a, b, c] = triangle.map(|v| positions[v as usize].as_dvec3());
+        let area = (b - a).cross(c - a);
+        triangle.iter().for_each(|v| sums[*v as usize] += area);
+    }
+    sums.iter().map(|sum| sum.normalize_or(DVec3::Y).as_vec3()).collect()
+}

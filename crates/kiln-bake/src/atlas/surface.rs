@@ -1,0 +1,131 @@
+//! The surface that unwrappers see: distinct points at unit scale, faces with an area, cuts along hard edges.
+
+use std::collections::{HashMap, HashSet};
+
+use glam::{DVec3, Vec3};
+use kiln_asset::{FaceId, Mesh};
+
+use super::{AtlasOptions, UnwrapInput};
+
+/// Least altitude of a face that gets a chart, as a share of the bounding box's diagonal (unitless). Below it the face is
+/// thinner than a hundredth of a texel on any sheet and its shape drowns in the rounding of 32-bit UVs. `uvunwrap` draws its
+/// own line at 1e-6; ours lies above, so that a face which passes here is never left out there.
+const ALTITUDE_MIN: f64 = 2e-6;
+
+/// Cosine of the angle between the normals of two wedges beyond which their edge is hard: 30 degrees.
+const HARD_COSINE: f32 = 0.866_025_4;
+
+/// A mesh made ready for unwrapping.
+pub(super) struct Surface {
+    /// What unwrappers get.
+    pub input: UnwrapInput,
+    /// `[input.triangles.len()]`, the mesh's face behind each of the input's, ascending.
+    pub faces: Vec<FaceId>,
+    /// Hard edges among the cuts.
+    pub hard_edges: u32,
+}
+
+impl Surface {
+    pub(super) fn of(mesh: &Mesh, options: &AtlasOptions) -> Surface {
+        let positions = distinct(&unit_points(mesh));
+        let faces = chartable_faces(mesh, &positions);
+        let triangles = faces.iter().map(|f| mesh.face_points(*f).map(|p| p.0)).collect();
+        let mut input =
+            UnwrapInput { positions, triangles, cuts: Vec::new(), size: options.size, padding: options.padding };
+        let hard_edges;
+        (input.cuts, hard_edges) = cuts(mesh, &faces, &input.triangles);
+        Surface { input, faces, hard_edges }
+    }
+}
+
+/// The faces that must have a chart: three points, no altitude below [`ALTITUDE_MIN`] of the mesh's diagonal.
+pub(super) fn chartable(mesh: &Mesh) -> Vec<FaceId> {
+    chartable_faces(mesh, &distinct(&unit_points(mesh)))
+}
+
+fn chartable_faces(mesh: &Mesh, positions: &[Vec3]) -> Vec<FaceId> {
+    let has_area = |f: &FaceId| {
+        let points = mesh.face_points(*f);
+        let [a, b, c] = points.map(|p| positions[p.index()].as_dvec3());
+        let longest = (b - a).length().max((c - b).length()).max((a - c).length());
+        let distinct = points[0] != points[1] && points[1] != points[2] && points[2] != points[0];
+        distinct && (b - a).cross(c - a).length() > ALTITUDE_MIN * longest
+    };
+    (0..mesh.face_count() as u32).map(FaceId).filter(has_area).collect()
+}
+
+/// `[point_count]`, each point where its first vertex lies, scaled about the box's centre to unit diagonal.
+fn unit_points(mesh: &Mesh) -> Vec<Vec3> {
+    let mut points = vec![None; mesh.point_count()];
+    for (position, point) in mesh.positions.iter().zip(&mesh.points) {
+        points[point.index()].get_or_insert(position.as_dvec3());
+    }
+    let points: Vec<DVec3> = points.into_iter().flatten().collect();
+    let Some(first) = points.first() else { return Vec::new() };
+    let (lo, hi) = points.iter().fold((*first, *first), |(lo, hi), p| (lo.min(*p), hi.max(*p)));
+    let diagonal = (hi - lo).length();
+    let scale = if diagonal > 0.0 { 1.0 / diagonal } else { 1.0 };
+    let centre = 0.5 * (lo + hi);
+    points.iter().map(|p| ((*p - centre) * scale).as_vec3()).collect()
+}
+
+/// `points` with no two bitwise equal: of several at one place all but the first move by a few units in the last place, over
+/// a small block of neighbours (some 1e-6 of the diagonal even for thousands).
+fn distinct(points: &[Vec3]) -> Vec<Vec3> {
+    let bits = |p: Vec3| p.to_array().map(|c| (c + 0.0).to_bits());
+    let mut taken: HashSet<[u32; 3]> = HashSet::with_capacity(points.len());
+    let mut steps: HashMap<[u32; 3], u32> = HashMap::new();
+    points
+        .iter()
+        .map(|p| {
+            let home = bits(*p);
+            let mut at = home;
+            while !taken.insert(at) {
+                let step = steps.entry(home).or_insert(0);
+                *step += 1;
+                at = [home[0] + *step % 16, home[1] + *step / 16 % 16, home[2] + *step / 256];
+            }
+            Vec3::from_array(at.map(f32::from_bits))
+        })
+        .collect()
+}
+
+/// `[face_count] x 3` cuts, and how many edges they are: the hard edges, unless more than half of the inner edges are hard
+/// (a flat-shaded mesh, where every face would become a chart).
+fn cuts(mesh: &Mesh, faces: &[FaceId], triangles: &[[u32; 3]]) -> (Vec<[bool; 3]>, u32) {
+    let mut cuts = vec![[false; 3]; faces.len()];
+    let Some(normals) = &mesh.normals else { return (cuts, 0) };
+    let normal = |face: usize, k: usize| normals[mesh.triangles[faces[face].index()][k % 3] as usize];
+    let mut hard = Vec::new();
+    let mut inner = 0usize;
+    for edge in edges(triangles).chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+        let [(_, _, f, i), (_, _, g, j)] = *edge else { continue };
+        inner += 1;
+        let same_way = triangles[f][i] == triangles[g][j];
+        let (far, near) = if same_way { (j, j + 1) } else { (j + 1, j) };
+        let least = normal(f, i).dot(normal(g, far)).min(normal(f, i + 1).dot(normal(g, near)));
+        if least < HARD_COSINE {
+            hard.push([(f, i), (g, j)]);
+        }
+    }
+    if 2 * hard.len() > inner {
+        return (cuts, 0);
+    }
+    for (face, k) in hard.iter().flatten() {
+        cuts[*face][*k] = true;
+    }
+    (cuts, hard.len() as u32)
+}
+
+/// Every use of an edge as (lower point, higher point, face, corner at which it starts), sorted.
+pub(super) fn edges(triangles: &[[u32; 3]]) -> Vec<(u32, u32, usize, usize)> {
+    let mut edges = Vec::with_capacity(3 * triangles.len());
+    for (f, t) in triangles.iter().enumerate() {
+        for k in 0..3 {
+            let (a, b) = (t[k], t[(k + 1) % 3]);
+            edges.push((a.min(b), a.max(b), f, k));
+        }
+    }
+    edges.sort_unstable();
+    edges
+}

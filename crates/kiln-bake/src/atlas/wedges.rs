@@ -1,0 +1,80 @@
+//! Splits vertices where charts split: one wedge for each (vertex, UV) that some corner wants.
+
+use glam::Vec2;
+use kiln_asset::{Mesh, PointId};
+
+use super::UnwrapOutput;
+use super::surface::Surface;
+
+/// `mesh` with `atlas_uv`. Triangles keep their order, points their ids; the wedges of a vertex follow one another in the
+/// order in which faces ask for them. A face without a chart gets a single UV for all three corners: that of the first of
+/// its points that has one, else that of the first charted face; it covers nothing.
+pub(super) fn split(mesh: &Mesh, surface: &Surface, charts: &UnwrapOutput, size: u32) -> Mesh {
+    let corner_uvs = corner_uvs(mesh, surface, charts, size);
+    // Wedges of each vertex: a chain through `wedges`.
+    const END: u32 = u32::MAX;
+    let mut first = vec![END; mesh.vertex_count()];
+    let mut wedges: Vec<(Vec2, u32)> = Vec::with_capacity(mesh.vertex_count());
+    let mut corner_wedge = Vec::with_capacity(3 * mesh.face_count());
+    for (triangle, uvs) in mesh.triangles.iter().zip(&corner_uvs) {
+        for (v, uv) in triangle.iter().zip(uvs) {
+            let mut link = first[*v as usize];
+            let mut last = END;
+            while link != END && wedges[link as usize].0 != *uv {
+                last = link;
+                link = wedges[link as usize].1;
+            }
+            if link == END {
+                link = wedges.len() as u32;
+                wedges.push((*uv, END));
+                match last {
+                    END => first[*v as usize] = link,
+                    last => wedges[last as usize].1 = link,
+                }
+            }
+            corner_wedge.push(link);
+        }
+    }
+    // Numbered vertex by vertex; a vertex that no face uses stays, at UV zero, for its point may have no other.
+    let mut number = vec![END; wedges.len()];
+    let mut keep = Vec::with_capacity(wedges.len());
+    let mut atlas_uv = Vec::with_capacity(wedges.len());
+    for (v, first) in first.iter().enumerate() {
+        let mut link = *first;
+        if link == END {
+            keep.push(v as u32);
+            atlas_uv.push(Vec2::ZERO);
+        }
+        while link != END {
+            let (uv, next) = wedges[link as usize];
+            number[link as usize] = keep.len() as u32;
+            keep.push(v as u32);
+            atlas_uv.push(uv);
+            link = next;
+        }
+    }
+    let triangles = corner_wedge.chunks_exact(3).map(|c| [c[0], c[1], c[2]].map(|w| number[w as usize])).collect();
+    let mut raw = mesh.gather(&keep, triangles, mesh.face_submesh.clone());
+    raw.points = keep.iter().map(|v| mesh.points[*v as usize]).collect::<Vec<PointId>>();
+    raw.atlas_uv = Some(atlas_uv);
+    Mesh::new(raw).expect("invariant: wedges copied from a valid mesh, UVs finite by `orient`, every point kept")
+}
+
+/// `[face_count] x 3` UVs in `[0, 1]` for all faces of the mesh.
+fn corner_uvs(mesh: &Mesh, surface: &Surface, charts: &UnwrapOutput, size: u32) -> Vec<[Vec2; 3]> {
+    let mut corner_uvs = vec![None; mesh.face_count()];
+    let mut point_uv = vec![None; mesh.point_count()];
+    for (face, corners) in surface.faces.iter().zip(&charts.corners) {
+        let uvs = corners.map(|texel| texel / size as f32);
+        for (point, uv) in mesh.face_points(*face).iter().zip(uvs) {
+            point_uv[point.index()].get_or_insert(uv);
+        }
+        corner_uvs[face.index()] = Some(uvs);
+    }
+    let anywhere = corner_uvs.iter().flatten().next().map_or(Vec2::ZERO, |uvs| uvs[0]);
+    let degenerate = |f: usize| {
+        let points = mesh.face_points(kiln_asset::FaceId(f as u32));
+        [points.iter().find_map(|p| point_uv[p.index()]).unwrap_or(anywhere); 3]
+    };
+    corner_uvs.iter().enumerate().map(|(f, uvs)| uvs.unwrap_or_else(|| degenerate(f))).collect()
+}

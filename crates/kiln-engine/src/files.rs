@@ -1,0 +1,161 @@
+//! Contents of files, by reading them or by a memo of their stats.
+//!
+//! A memo entry `(path, stat) -> content` spares reading a file whose stat is the same again. It is made only if
+//! - the stats before and after the file was read agree, and
+//! - both its times are older than the clock's granularity, so that no later write can leave the stat as it is.
+//!
+//! The granularity is taken as 2 s: FAT stamps files in steps of 2 s, HFS+ and ext3 of 1 s, others finer. "Now" is the file
+//! system's own ([`Store::now`]), taken before the first file of a build is read. A file written just before a build is thus
+//! read again by the next build: that costs time, never truth.
+
+use std::collections::HashMap;
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+use crate::disk::{Stat, is_absent};
+use crate::error::IoError;
+use crate::hash::ContentHash;
+use crate::state::State;
+use crate::store::Store;
+
+/// Default granularity of file times, nanoseconds; see above.
+pub(crate) const GRANULARITY: i64 = 2_000_000_000;
+
+/// What this build found of one file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Seen {
+    /// Its content; `None` if it is absent.
+    pub(crate) hash: Option<ContentHash>,
+    /// Its stat, if that may stand for its content from now on.
+    pub(crate) stat: Option<Stat>,
+}
+
+/// The files of one build; each is looked at once, so that one build sees one content.
+pub(crate) struct Files<'a> {
+    root: &'a Path,
+    store: &'a Store,
+    state: &'a State,
+    granularity: i64,
+    now: OnceLock<i64>,
+    seen: Mutex<HashMap<String, Seen>>,
+    hashed: AtomicUsize,
+}
+
+impl<'a> Files<'a> {
+    /// `look_only`: nothing is to be written, so no time can be had and no stat will be kept.
+    pub(crate) fn new(
+        root: &'a Path,
+        store: &'a Store,
+        state: &'a State,
+        granularity: i64,
+        look_only: bool,
+    ) -> Files<'a> {
+        let now = if look_only { OnceLock::from(i64::MIN) } else { OnceLock::new() };
+        Files { root, store, state, granularity, now, seen: Mutex::default(), hashed: AtomicUsize::new(0) }
+    }
+
+    /// Number of files that were read to be hashed.
+    pub(crate) fn hashed(&self) -> usize {
+        self.hashed.load(Ordering::Relaxed)
+    }
+
+    /// All files looked at, sorted by path.
+    pub(crate) fn into_seen(self) -> Vec<(String, Seen)> {
+        let mut seen: Vec<_> = self.seen.into_inner().unwrap_or_else(PoisonError::into_inner).into_iter().collect();
+        seen.sort_by(|a, b| a.0.cmp(&b.0));
+        seen
+    }
+
+    fn remember(&self, path: &str, seen: Seen) {
+        self.seen.lock().unwrap_or_else(PoisonError::into_inner).insert(path.to_owned(), seen);
+    }
+
+    /// Looks at the file anew next time.
+    pub(crate) fn forget(&self, path: &str) {
+        self.seen.lock().unwrap_or_else(PoisonError::into_inner).remove(path);
+    }
+
+    /// The file now holds `hash`: this build wrote it. No stat is kept, since its times are of this moment.
+    pub(crate) fn wrote(&self, path: &str, hash: ContentHash) {
+        self.remember(path, Seen { hash: Some(hash), stat: None });
+    }
+
+    fn full(&self, path: &str) -> PathBuf {
+        self.root.join(path)
+    }
+
+    /// The file system's time before any file was read.
+    fn now(&self) -> i64 {
+        // Where no file can be made (a read-only cache) nothing is old enough, and all is read.
+        *self.now.get_or_init(|| self.store.now().unwrap_or(i64::MIN))
+    }
+
+    fn settled(&self, before: Stat, after: Stat) -> Option<Stat> {
+        (before == after && after.latest() < self.now().saturating_sub(self.granularity)).then_some(after)
+    }
+
+    /// The content of the file at `path` (relative to the root), `None` if there is no such file.
+    pub(crate) fn hash(&self, path: &str) -> Result<Option<ContentHash>, IoError> {
+        if let Some(seen) = self.seen.lock().unwrap_or_else(PoisonError::into_inner).get(path) {
+            return Ok(seen.hash);
+        }
+        let full = self.full(path);
+        let seen = match fs::metadata(&full) {
+            Err(error) if is_absent(&error) => Seen { hash: None, stat: None },
+            Err(error) => return Err(IoError::new("look at", full)(error)),
+            Ok(metadata) => {
+                let stat = Stat::of(&metadata);
+                match self.state.memo(path) {
+                    Some((known, hash)) if *known == stat => Seen { hash: Some(*hash), stat: Some(stat) },
+                    _ => self.read_and_hash(&full)?,
+                }
+            }
+        };
+        self.remember(path, seen);
+        Ok(seen.hash)
+    }
+
+    fn read_and_hash(&self, full: &Path) -> Result<Seen, IoError> {
+        self.now();
+        let fail = |error| IoError::new("read", full)(error);
+        let mut file = match File::open(full) {
+            Err(error) if is_absent(&error) => return Ok(Seen { hash: None, stat: None }),
+            other => other.map_err(fail)?,
+        };
+        let before = Stat::of(&file.metadata().map_err(fail)?);
+        let mut hasher = blake3::Hasher::new();
+        hasher.update_reader(&mut file).map_err(fail)?;
+        let after = Stat::of(&file.metadata().map_err(fail)?);
+        self.hashed.fetch_add(1, Ordering::Relaxed);
+        let hash = ContentHash(*hasher.finalize().as_bytes());
+        Ok(Seen { hash: Some(hash), stat: self.settled(before, after) })
+    }
+
+    /// The bytes of the file at `path`, hashed as they are, `None` if there is no such file.
+    pub(crate) fn read(&self, path: &str) -> Result<Option<(Arc<[u8]>, ContentHash)>, IoError> {
+        self.now();
+        let full = self.full(path);
+        let read = || -> io::Result<(Vec<u8>, Stat, Stat)> {
+            let mut file = File::open(&full)?;
+            let before = Stat::of(&file.metadata()?);
+            let mut bytes = Vec::new();
+            io::Read::read_to_end(&mut file, &mut bytes)?;
+            Ok((bytes, before, Stat::of(&file.metadata()?)))
+        };
+        match read() {
+            Ok((bytes, before, after)) => {
+                let hash = ContentHash::of(&bytes);
+                self.remember(path, Seen { hash: Some(hash), stat: self.settled(before, after) });
+                Ok(Some((bytes.into(), hash)))
+            }
+            Err(error) if is_absent(&error) => {
+                self.remember(path, Seen { hash: None, stat: None });
+                Ok(None)
+            }
+            Err(error) => Err(IoError::new("read", full)(error)),
+        }
+    }
+}

@@ -1,0 +1,75 @@
+//! Faces worth keeping, and the mesh that is left of them.
+
+use kiln_asset::{FaceId, Mesh, PointId};
+
+use super::MergeReport;
+
+/// The faces, ascending, that have three distinct points and come first of those with the same points, winding and submesh.
+pub(super) fn sound_faces(mesh: &Mesh, points: &[PointId], report: &mut MergeReport) -> Vec<FaceId> {
+    let all = (0..mesh.face_count() as u32).map(FaceId).collect();
+    sound_faces_of(mesh, points, all, report)
+}
+
+/// The same out of the ascending list `faces`, under other `points` `[vertex_count]`.
+pub(super) fn sound_faces_of(
+    mesh: &Mesh,
+    points: &[PointId],
+    mut faces: Vec<FaceId>,
+    report: &mut MergeReport,
+) -> Vec<FaceId> {
+    let face_points = |f: FaceId| mesh.triangles[f.index()].map(|v| points[v as usize].0);
+    let before = faces.len();
+    faces.retain(|f| {
+        let [a, b, c] = face_points(*f);
+        a != b && b != c && c != a
+    });
+    report.degenerate_faces += (before - faces.len()) as u32;
+
+    // Equal faces become neighbours when sorted by their points, turned so that the lowest comes first.
+    let mut keyed: Vec<([u32; 4], FaceId)> = faces
+        .iter()
+        .map(|f| {
+            let [a, b, c] = face_points(*f);
+            let [x, y, z] = if a < b && a < c {
+                [a, b, c]
+            } else if b < c {
+                [b, c, a]
+            } else {
+                [c, a, b]
+            };
+            ([mesh.face_submesh[f.index()].0, x, y, z], *f)
+        })
+        .collect();
+    keyed.sort_unstable();
+    let mut duplicates: Vec<FaceId> =
+        keyed.windows(2).filter(|pair| pair[0].0 == pair[1].0).map(|pair| pair[1].1).collect();
+    report.duplicate_faces += duplicates.len() as u32;
+    duplicates.sort_unstable();
+    let mut next = duplicates.into_iter().peekable();
+    faces.retain(|f| next.next_if_eq(f).is_none());
+    faces
+}
+
+/// The mesh of the `kept` faces with `points` `[vertex_count]` as its points; vertices out of use are dropped and counted.
+pub(super) fn gather(mesh: &Mesh, points: Vec<PointId>, kept: &[FaceId], report: &mut MergeReport) -> Mesh {
+    let mut new_vertex = vec![u32::MAX; mesh.vertex_count()];
+    for f in kept {
+        for v in mesh.triangles[f.index()] {
+            new_vertex[v as usize] = 0;
+        }
+    }
+    let mut keep = Vec::with_capacity(mesh.vertex_count());
+    for (v, new) in new_vertex.iter_mut().enumerate() {
+        if *new == 0 {
+            *new = keep.len() as u32;
+            keep.push(v as u32);
+        }
+    }
+    report.unused_vertices = (mesh.vertex_count() - keep.len()) as u32;
+    let triangles = kept.iter().map(|f| mesh.triangles[f.index()].map(|v| new_vertex[v as usize])).collect();
+    let face_submesh = kept.iter().map(|f| mesh.face_submesh[f.index()]).collect();
+
+    let mut raw = (**mesh).clone();
+    raw.points = points;
+    Mesh::new(raw.gather(&keep, triangles, face_submesh)).expect("invariant: part of a valid mesh, points renumbered densely")
+}

@@ -1,0 +1,35 @@
+//! Which foreign code stands under each stage, by name and locked version: a part of every fingerprint.
+
+macro_rules! version {
+    ($name:literal, $variable:literal) => {
+        concat!($name, "@", env!(concat!("KILN_VERSION_", $variable)))
+    };
+}
+
+/// Vectors.
+pub(crate) const GLAM: &str = version!("glam", "GLAM");
+/// glTF's JSON.
+pub(crate) const GLTF_JSON: &str = version!("gltf-json", "GLTF_JSON");
+/// PNG and JPEG.
+pub(crate) const IMAGE: &str = version!("image", "IMAGE");
+/// Transcendental functions.
+pub(crate) const LIBM: &str = version!("libm", "LIBM");
+/// The BVH's builder.
+pub(crate) const OBVHS: &str = version!("obvhs", "OBVHS");
+/// JSON.
+pub(crate) const SERDE_JSON: &str = version!("serde_json", "SERDE_JSON");
+/// The built-in unwrapper.
+pub(crate) const UVUNWRAP: &str = version!("uvunwrap", "UVUNWRAP");
+/// Tangents.
+pub(crate) const MIKKTSPACE: &str = version!("bevy_mikktspace", "BEVY_MIKKTSPACE");
+/// The GPU.
+pub(crate) const WGPU: &str = version!("wgpu", "WGPU");
+
+/// Where the results of stages written in Rust alone are bit-identical: IEEE 754 arithmetic without contraction, scalar
+/// vectors, `libm`'s functions, little-endian; checked on x86-64, expected on every 64-bit little-endian target.
+pub(crate) const NUMERIC_CLASS: &str = "rust-ieee754-le";
+
+/// The classes and crates that a container's provenance names.
+pub(crate) fn all() -> [&'static str; 9] {
+    [MIKKTSPACE, GLAM, GLTF_JSON, IMAGE, LIBM, OBVHS, SERDE_JSON, UVUNWRAP, WGPU]
+}

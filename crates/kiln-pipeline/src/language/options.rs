@@ -1,0 +1,458 @@
+//! Every key of the language: one struct a table, defaults and sentences included.
+//!
+//! The parser, the reference, `--set`, overrides and the resolved form all come from here.
+
+use super::diagnostic::{Code, Report};
+use super::dom::{Data, Node};
+use super::length::Length;
+use super::setting::{Choice, Key, Options, Setting, Shape, check_keys, choices, choose, mistyped, options, read_within};
+use super::value::Value;
+
+choices! {
+    /// Kind of a stage.
+    pub enum Kind {
+        /// Joins the submeshes of the asset into one mesh with shared points at their boundaries.
+        "merge" => Merge,
+        /// Collapses edges and cuts levels of detail out of one collapse sequence.
+        "simplify" => Simplify,
+        /// Makes a second UV layout without overlaps, for a bake to write into.
+        "atlas" => Atlas,
+        /// Carries the surface of a high mesh into textures of the atlas.
+        "bake" => Bake,
+        /// Writes levels, materials and textures into one container.
+        "pack" => Pack,
+    }
+}
+
+choices! {
+    /// What an edge costs.
+    pub enum Metric {
+        /// Area-weighted plane quadrics with border, seam and boundary constraints.
+        "quadric" => Quadric,
+        later {
+            /// Volume, boundary and shape without a memory of earlier collapses.
+            "memoryless",
+            /// Viewpoint entropy, each face its own region.
+            "viewpoint-entropy",
+            /// Viewpoint mutual information, each face its own region.
+            "viewpoint-mutual-information",
+            /// Generalised entropy of texture regions over viewpoints.
+            "region-entropy",
+            /// Generalised mutual information of texture regions over viewpoints.
+            "region-mutual-information",
+        }
+    }
+}
+
+choices! {
+    /// Where the kept point of a collapse stands.
+    pub enum Placement {
+        /// On the end that stays: no new positions, so levels can share one vertex buffer.
+        "half-edge" => HalfEdge,
+        later {
+            /// Where the metric is least.
+            "free",
+        }
+    }
+}
+
+choices! {
+    /// What becomes of the input's normals.
+    pub enum Normals {
+        /// They stay; only missing ones are made.
+        "keep" => Keep,
+        /// All are made anew from the simplified faces.
+        "rebuild" => Rebuild,
+    }
+}
+
+choices! {
+    /// Who lays out the atlas.
+    pub enum UnwrapperName {
+        /// Decided from counted properties of the mesh and from failed checks, never from a clock.
+        "auto" => Auto,
+        /// The built-in one.
+        "uvunwrap" => Uvunwrap,
+        /// xatlas in a child process.
+        "xatlas" => Xatlas,
+    }
+}
+
+choices! {
+    /// A texture that a bake writes.
+    pub enum MapName {
+        /// Normals of the high mesh in `space`.
+        "normal" => Normal,
+        /// Base colour and alpha.
+        "base-color" => BaseColor,
+        /// Roughness in green, metallic in blue.
+        "metallic-roughness" => MetallicRoughness,
+        /// Occlusion in red.
+        "occlusion" => Occlusion,
+        /// Emission.
+        "emissive" => Emissive,
+        later {
+            /// One set of maps for each level, instead of one for all levels of a layout.
+            "per-level",
+        }
+    }
+}
+
+choices! {
+    /// How a texel finds its place on the high mesh.
+    pub enum BakeMethod {
+        /// The point of the high mesh nearest to the low triangle's plane along its normal.
+        "mirrored-vertex" => MirroredVertex,
+        later {
+            /// The place with the same texture coordinate, where both meshes share a layout.
+            "correspondence",
+        }
+    }
+}
+
+choices! {
+    /// The frame that baked normals are written in.
+    pub enum Space {
+        /// MikkTSpace frames of the low mesh, +Y up.
+        "tangent" => Tangent,
+        /// Axes of the asset.
+        "object" => Object,
+    }
+}
+
+choices! {
+    /// An arrangement of levels in the container.
+    pub enum PackLayout {
+        /// Each level with its own index range over shared vertices.
+        "discrete" => Discrete,
+        later {
+            /// Vertices in collapse order, any triangle count without a new buffer.
+            "sliding-window",
+            /// Octree clusters in tree and leaf buffers.
+            "tree-leaf",
+            /// A cluster DAG.
+            "clusters",
+        }
+    }
+}
+
+/// What a level of detail is limited by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LevelBudget {
+    /// Share of the source asset's triangles, above 0 and at most 1.
+    Keep(f64),
+    /// Number of triangles, at least 1.
+    Triangles(u32),
+    /// Deviation from the source asset.
+    Error(Length),
+}
+
+options! {
+    /// The top of the file.
+    pub struct FileOptions {
+        /// Version of the language that the file is written in; older ones are read for ever.
+        "kiln" => kiln: u32, required;
+        /// Parent file, relative to this one; stages are matched by id, lists are replaced.
+        "base" => base: Option<String>, derived("no parent");
+    }
+}
+
+options! {
+    /// `[asset]`: what is built from what.
+    pub struct AssetOptions {
+        /// Model or glob of models, relative to the file; one build for each match.
+        "input" => input: String, required;
+        /// Container to write; {path} is the model's path under the glob's fixed part, {name} its last part, both without extension.
+        "output" => output: String, required;
+    }
+}
+
+options! {
+    /// Keys of every `[[stage]]`.
+    pub struct StageOptions {
+        /// Name of the stage, [a-z][a-z0-9-]*.
+        "id" => id: Option<String>, derived("the kind, where that is unique");
+        /// What the stage does.
+        "kind" => kind: Option<Kind>, derived("must be given");
+        /// Id of the earlier stage whose result it takes.
+        "from" => from: Option<StageRef>, derived("the stage before");
+    }
+}
+
+options! {
+    /// Options of a merge stage.
+    pub struct MergeOptions {
+        /// Greatest distance between border points of different submeshes that become one point.
+        "weld" => weld: Length, default(Length::diag(1e-5));
+    }
+}
+
+options! {
+    /// Options of a simplify stage.
+    pub struct SimplifyOptions {
+        /// What an edge costs.
+        "metric" => metric: MetricChoice, default(MetricChoice(Metric::Quadric));
+        /// Where the kept point of a collapse stands.
+        "placement" => placement: Placement, default(Placement::HalfEdge);
+        /// What becomes of the input's normals.
+        "normals" => normals: Normals, default(Normals::Keep);
+        /// Angle in degrees between faces above which made normals split into a hard edge.
+        "normal-angle" => normal_angle: f64, default(30.0), within 0..=180;
+        /// Levels of detail, finest first; each has exactly one of keep (share of the source asset's triangles), triangles and error (a length).
+        "levels" => levels: Vec<LevelBudget>, required;
+        later {
+            /// Raises the cost of edges that cross a border in a texture.
+            "texture-border";
+            /// When submesh boundaries may change.
+            "boundary";
+            /// Rules for submeshes with budgets of their own.
+            "submesh";
+        }
+    }
+}
+
+options! {
+    /// Options of an atlas stage.
+    pub struct AtlasOptions {
+        /// Who lays it out.
+        "unwrapper" => unwrapper: UnwrapperName, default(UnwrapperName::Auto);
+        /// Width and height in texels.
+        "size" => size: u32, default(2048), within 16..=16384;
+        /// Least empty space between charts in texels.
+        "padding" => padding: u32, default(16), within 0..=256;
+    }
+}
+
+options! {
+    /// Options of a bake stage.
+    pub struct BakeOptions {
+        /// Id of the earlier stage whose mesh is carried over.
+        "high" => high: StageRef, required;
+        /// Textures to write.
+        "maps" => maps: Vec<MapName>, default(vec![MapName::Normal, MapName::BaseColor, MapName::MetallicRoughness]);
+        /// How a texel finds its place on the high mesh.
+        "method" => method: BakeMethod, default(BakeMethod::MirroredVertex);
+        /// The frame that normals are written in.
+        "space" => space: Space, default(Space::Tangent);
+        /// Width and height in texels.
+        "size" => size: Option<u32>, derived("the atlas's size"), within 16..=16384;
+        /// Texels that each chart grows into the padding after the transfer.
+        "dilation" => dilation: u32, default(8), within 0..=256;
+        /// Greatest distance of the high mesh from the low one that is still carried over.
+        "cage" => cage: Length, default(Length::diag(0.02));
+        later {
+            /// Keeps the model's own layout beside the atlas.
+            "keep-source-uv";
+        }
+    }
+}
+
+options! {
+    /// Options of a pack stage.
+    pub struct PackOptions {
+        /// How levels lie in the container.
+        "layouts" => layouts: Vec<PackLayout>, default(vec![PackLayout::Discrete]);
+    }
+}
+
+options! {
+    /// `[[override]]`: other values for some of many assets.
+    pub struct OverrideOptions {
+        /// Glob over the models' paths below the input's fixed part, extension included; `*` does not cross a `/`.
+        "match" => pattern: String, required;
+        /// Values by "stage.ID.KEY".
+        "set" => set: SetTable, required;
+    }
+}
+
+/// Keys of a submesh rule; recognised only, so that a level key after a rule's header can be explained.
+pub(crate) const RULE_KEYS: [&str; 5] = ["name", "keep", "level", "relative-to", "factor"];
+
+impl Kind {
+    /// The keys of a stage of this kind beside `id`, `kind` and `from`.
+    pub fn keys(self) -> Vec<Key> {
+        match self {
+            Kind::Merge => MergeOptions::keys(),
+            Kind::Simplify => SimplifyOptions::keys(),
+            Kind::Atlas => AtlasOptions::keys(),
+            Kind::Bake => BakeOptions::keys(),
+            Kind::Pack => PackOptions::keys(),
+        }
+    }
+
+    /// Every kind in the order of a common pipeline.
+    pub const ALL: [Kind; 5] = [Kind::Merge, Kind::Simplify, Kind::Atlas, Kind::Bake, Kind::Pack];
+
+    /// The kind of that name.
+    pub fn from_name(name: &str) -> Option<Kind> {
+        Kind::ALL.into_iter().find(|kind| kind.as_str() == name)
+    }
+}
+
+/// The id of a stage, as it was written; the chain checks that it exists.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct StageRef(pub String);
+
+impl Setting for StageRef {
+    fn shape() -> Shape {
+        Shape::StageId
+    }
+
+    fn read(node: &Node, report: &mut Report) -> Option<Self> {
+        match &node.data {
+            Data::Text(text) if text.is_empty() => {
+                report.add(Code::ValueEmpty, &node.origin, "a stage's id is never empty", "empty", None);
+                None
+            }
+            Data::Text(text) => Some(StageRef(text.clone())),
+            _ => {
+                mistyped(node, "a stage's id", None, report);
+                None
+            }
+        }
+    }
+
+    fn write(&self) -> Value {
+        Value::Text(self.0.clone())
+    }
+}
+
+/// A metric, written as its name or as a table `{ kind = NAME, ... }` with its parameters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MetricChoice(pub Metric);
+
+impl Setting for MetricChoice {
+    fn shape() -> Shape {
+        Shape::ChoiceOrTable(Metric::CHOICES)
+    }
+
+    fn read(node: &Node, report: &mut Report) -> Option<Self> {
+        let Some(table) = node.table() else { return Metric::read(node, report).map(MetricChoice) };
+        let Some(kind) = table.get("kind") else {
+            let help = Some(String::from("for example { kind = \"quadric\" }"));
+            report.add(Code::KeyMissing, &node.origin, "a metric needs the key `kind`", "`kind` is missing", help);
+            return None;
+        };
+        // The parameters of a metric that cannot be had yet are not worth a second message.
+        let metric = Metric::read(kind, report)?;
+        for entry in table.entries.iter().filter(|entry| entry.name != "kind") {
+            let message = format!("the metric `{}` has no parameter `{}`", metric.as_str(), entry.name);
+            report.add(Code::KeyUnknown, &entry.key, message, "no such key", None);
+        }
+        Some(MetricChoice(metric))
+    }
+
+    fn write(&self) -> Value {
+        self.0.write()
+    }
+}
+
+/// The keys of a level.
+const LEVEL_KEYS: [&str; 3] = ["keep", "triangles", "error"];
+
+impl Setting for LevelBudget {
+    fn shape() -> Shape {
+        Shape::Table("exactly one of keep, triangles and error")
+    }
+
+    fn read(node: &Node, report: &mut Report) -> Option<Self> {
+        let Some(table) = node.table() else {
+            let help = match node.data {
+                Data::Float(value) if value > 0.0 && value <= 1.0 => Some(format!("write {{ keep = {value} }}")),
+                Data::Integer(Some(value)) if value > 1 => Some(format!("write {{ triangles = {value} }}")),
+                _ => Some(String::from("for example { keep = 0.25 }")),
+            };
+            mistyped(node, "a level", help, report);
+            return None;
+        };
+        let keys = [
+            key_of("keep", <f64 as Setting>::shape()),
+            key_of("triangles", <u32 as Setting>::shape()),
+            key_of("error", <Length as Setting>::shape()),
+        ];
+        let before = report.len();
+        check_keys(table, &keys, "a level", &node.origin, &|_| None, report);
+        let given: Vec<&str> = LEVEL_KEYS.into_iter().filter(|name| table.get(name).is_some()).collect();
+        if given.len() != 1 {
+            if given.is_empty() && report.len() > before {
+                return None;
+            }
+            let (message, label) = match given.len() {
+                0 => (String::from("a level needs one of keep, triangles and error"), String::from("none of them")),
+                _ => (
+                    String::from("a level takes exactly one of keep, triangles and error"),
+                    format!("{} are given", given.join(" and ")),
+                ),
+            };
+            let help = "write one level for each: the levels stand in order, finest first";
+            report.add(Code::LevelShape, &node.origin, message, label, Some(help.to_owned()));
+            return None;
+        }
+        if let Some(keep) = table.get("keep") {
+            let value = f64::read(keep, report)?;
+            if value > 0.0 && value <= 1.0 {
+                return Some(LevelBudget::Keep(value));
+            }
+            let help = if value > 1.0 && value <= 100.0 && keep.number().is_some() {
+                format!("`keep` is a share: {} percent is {}", value, value / 100.0)
+            } else {
+                String::from("`keep` is the share of the source asset's triangles that stays; 1.0 keeps all")
+            };
+            let message = "`keep` must be above 0 and at most 1";
+            report.add(Code::ValueRange, &keep.origin, message, "out of range", Some(help));
+            return None;
+        }
+        if let Some(triangles) = table.get("triangles") {
+            return read_within("triangles", triangles, Some((1.0, f64::from(u32::MAX))), report)
+                .map(LevelBudget::Triangles);
+        }
+        table.get("error").and_then(|error| Length::read(error, report)).map(LevelBudget::Error)
+    }
+
+    fn write(&self) -> Value {
+        let (name, value) = match self {
+            LevelBudget::Keep(keep) => ("keep", keep.write()),
+            LevelBudget::Triangles(triangles) => ("triangles", triangles.write()),
+            LevelBudget::Error(error) => ("error", error.write()),
+        };
+        Value::Table(vec![(name.to_owned(), value)])
+    }
+}
+
+fn key_of(name: &'static str, shape: Shape) -> Key {
+    Key { name, shape, standard: super::setting::Standard::Derived(""), range: None, sentence: String::new() }
+}
+
+/// Marks the value of `set`; what is in it is read against the stages by [`super::compose`].
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SetTable;
+
+impl Setting for SetTable {
+    fn shape() -> Shape {
+        Shape::Table("keys \"stage.ID.KEY\"")
+    }
+
+    fn read(node: &Node, report: &mut Report) -> Option<Self> {
+        if node.table().is_none() {
+            let help = Some(String::from("for example { \"stage.lods.levels\" = [ { keep = 0.1 } ] }"));
+            mistyped(node, "a table", help, report);
+            return None;
+        }
+        Some(SetTable)
+    }
+
+    fn write(&self) -> Value {
+        Value::Absent
+    }
+}
+
+/// The choice of that name, for callers that only have a text.
+pub(crate) fn read_kind(node: &Node, report: &mut Report) -> Option<Kind> {
+    choose(node, Kind::CHOICES, report).and_then(Kind::from_name)
+}
+
+/// Sentence of a kind.
+pub(crate) fn kind_sentence(kind: Kind) -> &'static str {
+    let known: Option<&Choice> = Kind::CHOICES.iter().find(|choice| choice.name == kind.as_str());
+    known.map_or("", |choice| choice.sentence)
+}

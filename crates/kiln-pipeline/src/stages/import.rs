@@ -1,0 +1,86 @@
+//! The implicit first action: a model file and what it refers to become an asset.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use kiln_asset::blob::{BlobError, BlobReader, BlobWriter};
+use kiln_asset::import::{self, Files, ImportLimits};
+use kiln_engine::{Action, ActionError, Context, Outputs, Source};
+
+use super::{StageError, json, split_path};
+use crate::foreign;
+
+/// Raised whenever the same files give another asset.
+pub(crate) const VERSION: u32 = 1;
+
+/// Imports `model` (relative to the plan's root). Outputs: `mesh`, `materials`, `image/N`, and `inputs`: names and contents of
+/// the files read, for the container's provenance. There the model is called `model`, so that a renamed one changes nothing.
+pub(crate) fn action(id: String, label: String, model: &str) -> Action {
+    let (folder, file) = split_path(model);
+    let file = file.to_owned();
+    let extension = file.rsplit_once('.').map(|(_, e)| e.to_ascii_lowercase()).unwrap_or_default();
+    let mut action = Action::new(id, "import", VERSION, move |context| run(context, &file))
+        // The name itself is no parameter: a renamed but equal file imports to the same asset. Its kind is.
+        .param("format", extension)
+        .input("model", Source::file(model));
+    action.label = label;
+    action.foreign = [foreign::GLAM, foreign::GLTF_JSON, foreign::IMAGE, foreign::SERDE_JSON].map(Into::into).into();
+    action.numeric_class = Some(foreign::NUMERIC_CLASS.into());
+    action.discovers = Some(folder.to_owned());
+    action
+}
+
+/// The model itself is a declared input; what it refers to is discovered, so that the model's name stays out of the record.
+struct Recorded<'a, 'b> {
+    context: &'a Context<'b>,
+    file: &'a str,
+    model: Arc<[u8]>,
+    read: Mutex<BTreeMap<String, [u8; 32]>>,
+}
+
+impl Files for Recorded<'_, '_> {
+    fn read(&self, relative: &str) -> io::Result<Vec<u8>> {
+        if relative == self.file {
+            return Ok(self.model.to_vec());
+        }
+        let bytes = self.context.read_file(relative)?;
+        let mut read = self.read.lock().unwrap_or_else(PoisonError::into_inner);
+        read.insert(relative.to_owned(), *blake3::hash(&bytes).as_bytes());
+        Ok(bytes.to_vec())
+    }
+}
+
+fn run(context: &Context<'_>, file: &str) -> Result<Outputs, ActionError> {
+    let files = Recorded { context, file, model: context.input("model")?, read: Mutex::default() };
+    let (asset, report) = import::import(&files, file, &ImportLimits::default()).map_err(StageError::Import)?;
+    let mut outputs = Outputs::new()
+        .with("mesh", asset.mesh.to_blob())
+        .with("materials", asset.materials.to_blob())
+        .with("inputs", inputs_to_blob(&files))
+        .report(json(&report));
+    for (index, bytes) in asset.images.iter().enumerate() {
+        outputs = outputs.with(format!("image/{index}"), bytes.to_vec());
+    }
+    Ok(outputs)
+}
+
+/// Name and BLAKE3 of every file of the model, by name.
+pub(crate) type InputHashes = Vec<(String, [u8; 32])>;
+
+fn inputs_to_blob(files: &Recorded<'_, '_>) -> Vec<u8> {
+    let mut list: InputHashes = vec![("model".into(), *blake3::hash(&files.model).as_bytes())];
+    let read = files.read.lock().unwrap_or_else(PoisonError::into_inner);
+    list.extend(read.iter().map(|(name, hash)| (name.clone(), *hash)));
+    let mut blob = BlobWriter::new(*b"INPS", 1);
+    blob.meta(&list);
+    blob.finish()
+}
+
+/// The output `inputs`.
+pub(crate) fn inputs_from_blob(bytes: &[u8]) -> Result<InputHashes, BlobError> {
+    let mut blob = BlobReader::open(bytes, *b"INPS", 1)?;
+    let list = blob.meta()?;
+    blob.finish()?;
+    Ok(list)
+}

@@ -1,0 +1,125 @@
+//! One adapter a stage: options of the language to options of the stage, blobs to values and back, a typed report to JSON.
+//!
+//! Each file holds the stage's semantic version, its action (what the fingerprint covers) and its run. To add a stage: a row in
+//! [`crate::language::options::Kind`], a file here, an arm in [`crate::plan`].
+
+pub(crate) mod import;
+pub(crate) mod merge;
+pub(crate) mod simplify;
+pub(crate) mod atlas;
+pub(crate) mod bake;
+pub(crate) mod pack;
+
+use std::sync::Arc;
+
+use kiln_asset::import::ImportError;
+use kiln_asset::{BlobError, LodSet, MaterialSet, Mesh};
+use kiln_engine::{ActionError, Context, Value};
+use serde::Serialize;
+
+use crate::language::StageSettings;
+use crate::language::value::Value as Setting;
+
+/// Why a stage failed: the stage's own error, by family.
+#[derive(Debug, thiserror::Error)]
+pub enum StageError {
+    /// The model cannot be imported.
+    #[error(transparent)]
+    Import(#[from] ImportError),
+    /// The atlas failed.
+    #[error(transparent)]
+    Atlas(#[from] kiln_bake::atlas::AtlasError),
+    /// The bake failed.
+    #[error(transparent)]
+    Bake(#[from] kiln_bake::transfer::BakeError),
+    /// The container could not be made.
+    #[error(transparent)]
+    Pack(#[from] kiln_pack::PackError),
+    /// A value out of the cache breaks its promises.
+    #[error("a value in the cache is damaged: {0}")]
+    Blob(#[from] BlobError),
+    /// A stage's result breaks its own post-condition: a defect of kiln.
+    #[error("{0}")]
+    Defect(String),
+    /// No GPU where one was asked for.
+    #[error("{0}")]
+    Gpu(String),
+}
+
+impl From<StageError> for ActionError {
+    fn from(error: StageError) -> ActionError {
+        ActionError::failed(error)
+    }
+}
+
+/// A report as JSON bytes.
+pub(crate) fn json<T: Serialize>(report: &T) -> Vec<u8> {
+    serde_json::to_vec(report).expect("invariant: reports are plain structs with string keys")
+}
+
+/// Folder and file of a `/`-separated path.
+pub(crate) fn split_path(path: &str) -> (&str, &str) {
+    path.rsplit_once('/').unwrap_or(("", path))
+}
+
+/// The parameters of a stage as its fingerprint has them: every key with its value, but for those in `not`, which are structure.
+pub(crate) fn params(settings: &StageSettings, not: &[&str]) -> Vec<(String, Value)> {
+    settings
+        .values()
+        .into_iter()
+        .filter(|(name, _)| !not.contains(&name.as_str()))
+        .map(|(name, value)| {
+            let value = match value {
+                Setting::Text(text) => Value::Text(text),
+                Setting::Integer(number) => Value::Integer(number),
+                Setting::Number(number) => Value::from(number),
+                Setting::Boolean(flag) => Value::Flag(flag),
+                // Lists and tables: their canonical text, numbers in the shortest form that reads back bit for bit.
+                other => Value::Text(other.to_toml()),
+            };
+            (name, value)
+        })
+        .collect()
+}
+
+/// What a stage takes from the one before: a mesh, or levels whose finest is meant.
+pub(crate) enum Incoming {
+    /// From a merge.
+    Mesh(Mesh),
+    /// From a simplify or an atlas.
+    Levels(LodSet),
+}
+
+impl Incoming {
+    /// The input `in` of an action, whichever kind it is.
+    pub(crate) fn load(context: &Context<'_>, name: &str) -> Result<Incoming, ActionError> {
+        let bytes = context.input(name)?;
+        Ok(if bytes.starts_with(b"LODS") {
+            Incoming::Levels(LodSet::from_blob(&bytes).map_err(StageError::Blob)?)
+        } else {
+            Incoming::Mesh(Mesh::from_blob(&bytes).map_err(StageError::Blob)?)
+        })
+    }
+
+    /// As a level set: a mesh is one level without error.
+    pub(crate) fn into_levels(self) -> LodSet {
+        match self {
+            Incoming::Levels(set) => set,
+            Incoming::Mesh(mesh) => {
+                let source_triangles = mesh.submeshes.iter().map(|s| s.source_triangles).sum();
+                let level = kiln_asset::Level { mesh, error: 0.0, quadrics: Vec::new() };
+                LodSet { levels: vec![level], layout: None, source_triangles }
+            }
+        }
+    }
+}
+
+/// The input `name` as materials.
+pub(crate) fn load_materials(context: &Context<'_>, name: &str) -> Result<MaterialSet, ActionError> {
+    Ok(MaterialSet::from_blob(&context.input(name)?).map_err(StageError::Blob)?)
+}
+
+/// The image inputs `images/0`, `images/1`, ... of a material set, encoded.
+pub(crate) fn load_images(context: &Context<'_>, materials: &MaterialSet) -> Result<Vec<Arc<[u8]>>, ActionError> {
+    (0..materials.images.len()).map(|i| context.input(&format!("images/{i}"))).collect()
+}

@@ -1,0 +1,96 @@
+//! The command line: what was typed becomes calls of the library, what comes back becomes text and an exit code.
+
+mod args;
+mod build;
+mod container;
+mod diagnostics;
+mod doctor;
+mod progress;
+mod why;
+
+use std::path::Path;
+use std::process::ExitCode;
+
+use clap::Parser;
+use clap::error::ErrorKind;
+
+use crate::exit::Exit;
+use args::{BackendArg, Cli, Command, PlanArgs};
+
+/// Runs the command line of this process.
+pub fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => {
+            // A refused write of a usage message has no better place to be told.
+            let _ = error.print();
+            return match error.kind() {
+                ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => Exit::Done,
+                _ => Exit::Usage,
+            }
+            .into();
+        }
+    };
+    match cli.command {
+        Command::Build(args) => build::run(&args),
+        Command::Why(args) => why::run(&args),
+        Command::Inspect(args) => container::inspect(&args),
+        Command::Check(args) => container::check(&args),
+        Command::Export(args) => container::export(&args),
+        Command::Doctor(args) => doctor::run(&args),
+        Command::Stage(args) => stage(args.kind.as_deref()),
+    }
+    .into()
+}
+
+/// Prints the reference of stage kinds and their keys.
+fn stage(kind: Option<&str>) -> Exit {
+    match kiln_pipeline::language::reference::reference_of(kind) {
+        Some(text) => data(&text),
+        None => complain(Exit::Usage, &format!("there is no stage kind `{}`", kind.unwrap_or_default())),
+    }
+}
+
+/// Data for programs goes to standard output; a reader that went away is no failure.
+fn data(text: &str) -> Exit {
+    use std::io::Write;
+    let mut out = std::io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| if text.ends_with('\n') { Ok(()) } else { out.write_all(b"\n") }) {
+        Ok(()) => Exit::Done,
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Exit::Done,
+        Err(error) => complain(Exit::Failed, &format!("cannot write to standard output: {error}")),
+    }
+}
+
+/// Says what is wrong and gives the exit code that goes with it.
+fn complain(exit: Exit, message: &str) -> Exit {
+    eprintln!("error: {message}");
+    exit
+}
+
+/// A file's bytes, or the message.
+fn read(path: &Path) -> Result<Vec<u8>, Exit> {
+    std::fs::read(path).map_err(|error| complain(Exit::Failed, &format!("cannot read {}: {error}", path.display())))
+}
+
+impl From<BackendArg> for crate::Backend {
+    fn from(arg: BackendArg) -> crate::Backend {
+        match arg {
+            BackendArg::Auto => crate::Backend::Auto,
+            BackendArg::Gpu => crate::Backend::Gpu,
+            BackendArg::Cpu => crate::Backend::Cpu,
+        }
+    }
+}
+
+impl PlanArgs {
+    /// A build of `pipeline` with these settings.
+    fn build(&self, pipeline: &Path) -> crate::Build {
+        crate::Build {
+            sets: self.sets.clone(),
+            backend: self.backend.into(),
+            cache: self.cache.clone(),
+            ..crate::Build::new(pipeline)
+        }
+    }
+}

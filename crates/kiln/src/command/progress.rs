@@ -1,0 +1,89 @@
+//! What runs now: bars on a terminal, plain lines elsewhere.
+
+use std::collections::BTreeMap;
+use std::io::IsTerminal;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use kiln_engine::{ActionState, Event, Observer, TargetState};
+
+use crate::summary::seconds;
+
+/// Shows events as they come.
+pub(super) struct Progress {
+    bars: Option<MultiProgress>,
+    explain: bool,
+    running: Mutex<BTreeMap<usize, Running>>,
+}
+
+struct Running {
+    name: String,
+    bar: Option<ProgressBar>,
+}
+
+impl Progress {
+    pub(super) fn new(explain: bool) -> Progress {
+        let bars = std::io::stderr().is_terminal().then(MultiProgress::new);
+        Progress { bars, explain, running: Mutex::default() }
+    }
+
+    /// Takes the bars away.
+    pub(super) fn finish(&self) {
+        if let Some(bars) = &self.bars {
+            // Nothing is lost if the terminal refuses: the summary follows.
+            let _ = bars.clear();
+        }
+    }
+
+    fn line(&self, text: &str) {
+        match &self.bars {
+            Some(bars) => {
+                let _ = bars.println(text);
+            }
+            None => eprintln!("{text}"),
+        }
+    }
+}
+
+impl Observer for Progress {
+    fn event(&self, event: &Event<'_>) {
+        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        match event {
+            Event::Started { action, label, reason, .. } => {
+                if self.explain {
+                    self.line(&format!("{label}: runs, {reason}"));
+                }
+                let bar = self.bars.as_ref().map(|bars| {
+                    let bar = bars.add(ProgressBar::new(1000));
+                    if let Ok(style) = ProgressStyle::with_template("  {spinner} {bar:24} {elapsed:>4} {msg}") {
+                        bar.set_style(style);
+                    }
+                    bar.set_message((*label).to_owned());
+                    bar.enable_steady_tick(Duration::from_millis(200));
+                    bar
+                });
+                running.insert(*action, Running { name: (*label).to_owned(), bar });
+            }
+            Event::Progress { action, fraction, label } => {
+                if let Some(Running { name, bar: Some(bar) }) = running.get(action) {
+                    bar.set_position((fraction.clamp(0.0, 1.0) * 1000.0) as u64);
+                    bar.set_message(format!("{name}: {label}"));
+                }
+            }
+            Event::Finished { action, state, .. } => {
+                let Some(Running { name, bar }) = running.remove(action) else { return };
+                if let Some(bar) = bar {
+                    bar.finish_and_clear();
+                }
+                match state {
+                    ActionState::Ran { seconds: took, .. } => self.line(&format!("{name}: {}", seconds(*took))),
+                    ActionState::Failed(_) => self.line(&format!("{name}: failed")),
+                    _ => {}
+                }
+            }
+            Event::TargetFinished { state: TargetState::Failed(error), .. } => self.line(&format!("error: {error}")),
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,82 @@
+//! `check`, `inspect` and `export` on what a build made, and on what was done to it afterwards.
+
+use crate::space::{Space, corpus, needs, repository, small};
+
+fn built() -> Space {
+    let space = small("boundary-pair.glb");
+    space.build();
+    space
+}
+
+#[test]
+fn check_passes_what_a_build_made_and_finds_any_flipped_byte() {
+    let space = built();
+    space.run(["check", "out/model.kiln"]).expect(0);
+    let bytes = space.read("out/model.kiln");
+    for at in (0..bytes.len()).step_by(bytes.len() / 20) {
+        let mut flipped = bytes.clone();
+        flipped[at] ^= 1;
+        space.write("flipped.kiln", &flipped);
+        let ran = space.run(["check", "flipped.kiln"]);
+        assert_eq!(ran.code, 2, "byte {at} of {}: {} {}", bytes.len(), ran.stdout, ran.stderr);
+        space.write("prefix.kiln", &bytes[..at]);
+        space.run(["check", "prefix.kiln"]).expect(2);
+    }
+}
+
+#[test]
+fn inspect_tells_levels_with_triangles_and_errors() {
+    let space = built();
+    let text = space.run(["inspect", "out/model.kiln"]).expect(0).stdout;
+    assert!(text.contains("level") && text.contains("triangles"), "{text}");
+    let json = space.run(["inspect", "out/model.kiln", "--json"]).expect(0).json();
+    let levels = json["levels"].as_array().unwrap();
+    assert_eq!(levels.len(), 2);
+    assert!(levels[0]["triangles"].as_u64() > levels[1]["triangles"].as_u64(), "{json:#}");
+    assert!(levels[0]["error"].as_f64() <= levels[1]["error"].as_f64(), "{json:#}");
+}
+
+/// Khronos' validator on a file, where Node and the package are.
+fn validate(space: &Space, glb: &str) {
+    let folder = repository("tests/validator");
+    let node = std::process::Command::new("node").arg("--version").output().is_ok();
+    let ready = (node && folder.join("node_modules").is_dir()).then_some(());
+    if needs(ready, "Node and `npm ci` in tests/validator").is_none() {
+        return;
+    }
+    let output =
+        std::process::Command::new("node").arg("validate.mjs").arg(space.path(glb)).current_dir(folder).output().unwrap();
+    assert!(output.status.success(), "{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn exported_levels_pass_the_validator_of_khronos() {
+    let space = built();
+    space.run(["export", "out/model.kiln", "-o", "finest.glb"]).expect(0);
+    space.run(["export", "out/model.kiln", "--level", "1", "-o", "coarse.glb"]).expect(0);
+    space.run(["export", "out/model.kiln", "--all", "-o", "all.glb"]).expect(0);
+    for glb in ["finest.glb", "coarse.glb", "all.glb"] {
+        validate(&space, glb);
+    }
+    space.run(["export", "out/model.kiln", "--level", "2", "-o", "none.glb"]).expect(2);
+    assert!(!space.path("none.glb").exists());
+}
+
+#[test]
+fn an_exported_level_imports_again_with_its_triangles() {
+    let space = built();
+    space.run(["export", "out/model.kiln", "--level", "1", "-o", "coarse.glb"]).expect(0);
+    let json = space.run(["inspect", "out/model.kiln", "--json"]).expect(0).json();
+    let said = space.run(["doctor", "coarse.glb", "--json"]).expect(0).json();
+    assert_eq!(said["triangles"], json["levels"][1]["triangles"]);
+}
+
+#[test]
+fn a_corpus_model_exports_to_a_valid_glb() {
+    let Some(model) = corpus("gltf/FlightHelmet/FlightHelmet.gltf") else { return };
+    let space = Space::new();
+    space.write("pipeline.toml", crate::corpus::levels_pipeline(&model));
+    space.run(["build", "pipeline.toml", "--backend", "cpu"]).expect(0);
+    space.run(["export", "levels.kiln", "--all", "-o", "all.glb"]).expect(0);
+    validate(&space, "all.glb");
+}

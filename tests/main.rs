@@ -1,0 +1,18 @@
+//! kiln's integration tests, by topic. Each drives the command or the library as a user does, on the project's own fixtures;
+//! those that need real models take them from `KILN_CORPUS` and say so where it is not set.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(missing_docs, reason = "tests")]
+
+mod space;
+
+mod bake;
+mod command;
+mod container;
+mod corpus;
+mod crash;
+mod determinism;
+mod goldens;
+mod pipelines;
+mod rebuild;
+mod why;

@@ -117,8 +117,8 @@ impl<'a> BlobReader<'a> {
     pub fn meta<T: DeserializeOwned>(&mut self) -> Result<T, BlobError> {
         let bytes: Vec<u8> = self.array()?;
         let config = bincode::config::legacy().with_limit::<META_LIMIT>();
-        let (record, used) = bincode::serde::decode_from_slice(&bytes, config)
-            .map_err(|e| BlobError::Content(e.to_string()))?;
+        let (record, used) =
+            bincode::serde::decode_from_slice(&bytes, config).map_err(|e| BlobError::Content(e.to_string()))?;
         if used != bytes.len() { Err(BlobError::Length) } else { Ok(record) }
     }
 
@@ -128,10 +128,8 @@ impl<'a> BlobReader<'a> {
     /// The blob ends before the array does.
     pub fn array<T: Pod>(&mut self) -> Result<Vec<T>, BlobError> {
         let count = u64::from_le_bytes(self.word()?);
-        let bytes = usize::try_from(count)
-            .ok()
-            .and_then(|count| count.checked_mul(size_of::<T>()))
-            .ok_or(BlobError::Length)?;
+        let bytes =
+            usize::try_from(count).ok().and_then(|count| count.checked_mul(size_of::<T>())).ok_or(BlobError::Length)?;
         Ok(bytemuck::pod_collect_to_vec(self.take(bytes)?))
     }
 

@@ -3,13 +3,13 @@
 //! Reading order: [`mesh`] (what a mesh promises), [`material`], [`level`] (what travels between stages), [`raster`],
 //! [`import`] (the door for files), [`blob`] (how values lie in the private cache).
 
-pub mod ids;
-pub mod mesh;
-pub mod material;
-pub mod level;
-pub mod raster;
-pub mod import;
 pub mod blob;
+pub mod ids;
+pub mod import;
+pub mod level;
+pub mod material;
+pub mod mesh;
+pub mod raster;
 
 use std::sync::Arc;
 

@@ -251,7 +251,8 @@ impl MaterialSet {
         let mut blob = crate::blob::BlobReader::open(bytes, *b"MATL", 1)?;
         let set: MaterialSet = blob.meta()?;
         blob.finish()?;
-        let texture_ok = |t: Option<TextureRef>| t.is_none_or(|t| t.texture.index() < set.textures.len() && t.uv_set < 2);
+        let texture_ok =
+            |t: Option<TextureRef>| t.is_none_or(|t| t.texture.index() < set.textures.len() && t.uv_set < 2);
         let ok = set.materials.iter().all(|m| MapRole::ALL.iter().all(|r| texture_ok(m.map(*r))))
             && set.textures.iter().all(|t| t.image.index() < set.images.len());
         if ok { Ok(set) } else { Err(crate::BlobError::Content("a reference is out of range".into())) }

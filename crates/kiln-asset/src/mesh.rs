@@ -347,8 +347,7 @@ fn check_faces(raw: &RawMesh, vertex_count: usize, defects: &mut Defects) {
         last = *submesh;
         for (k, v) in triangle.iter().enumerate() {
             match vertex_submesh.get_mut(*v as usize) {
-                None => defects
-                    .push(|| format!("triangles[{f}][{k}]"), || format!("vertex {v} of {vertex_count}")),
+                None => defects.push(|| format!("triangles[{f}][{k}]"), || format!("vertex {v} of {vertex_count}")),
                 Some(owner) if *owner == u32::MAX => *owner = submesh.0,
                 Some(owner) if *owner != submesh.0 => {
                     let owner = *owner;

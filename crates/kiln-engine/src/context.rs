@@ -8,20 +8,19 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::build::Session;
 use crate::error::{ActionError, IoError};
+use crate::files::Content;
 use crate::hash::ContentHash;
 use crate::manifest::{Manifest, Origin};
 use crate::plan::Source;
 use crate::report::Event;
-
-/// A file that an action asked for, by its path relative to the action's folder.
-type Found = Option<(Arc<[u8]>, ContentHash)>;
 
 /// The only door between an action and the world.
 pub struct Context<'a> {
     session: &'a Session<'a>,
     action: usize,
     manifest: &'a Manifest,
-    found: Mutex<BTreeMap<String, Found>>,
+    /// Files that it asked for, by their paths relative to the action's folder.
+    found: Mutex<BTreeMap<String, Content>>,
     /// A file that is there but could not be read: nothing that was made without it may be kept.
     unreadable: Mutex<Option<IoError>>,
     changed: Mutex<Option<String>>,
@@ -61,9 +60,7 @@ impl<'a> Context<'a> {
         let field = self.manifest.inputs.iter().find(|input| input.name == name).ok_or_else(no_input)?;
         match &field.origin {
             Origin::Discovered { .. } => Err(no_input()),
-            Origin::Upstream { output, .. } => {
-                self.session.blob(self.upstream_of(name).ok_or_else(no_input)?, output)
-            }
+            Origin::Upstream { output, .. } => self.session.blob(self.upstream_of(name).ok_or_else(no_input)?, output),
             Origin::File { path } => {
                 let read = self.session.files.read(path)?;
                 match read {
@@ -113,14 +110,15 @@ impl<'a> Context<'a> {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
         }
         let absent = || io::Error::new(io::ErrorKind::NotFound, format!("`{relative}` does not exist"));
-        let mut found = lock(&self.found);
-        if let Some(known) = found.get(relative) {
+        if let Some(known) = lock(&self.found).get(relative) {
             return known.as_ref().map(|(bytes, _)| bytes.clone()).ok_or_else(absent);
         }
         match self.session.files.read(&join(folder, relative)) {
             Ok(read) => {
-                found.insert(relative.to_owned(), read.clone());
-                read.map(|(bytes, _)| bytes).ok_or_else(absent)
+                // Another thread of the action may have read it meanwhile: its content stands.
+                let mut found = lock(&self.found);
+                let known = found.entry(relative.to_owned()).or_insert(read);
+                known.as_ref().map(|(bytes, _)| bytes.clone()).ok_or_else(absent)
             }
             Err(error) => {
                 let told = io::Error::new(error.source.kind(), error.source.to_string());

@@ -69,7 +69,7 @@ pub(crate) fn create_folder(path: &Path) -> Result<(), IoError> {
 }
 
 /// Writes a file from its start; `sync` waits until the device has it.
-pub(crate) fn write(path: &Path, parts: &[&[u8]], sync: bool) -> Result<File, IoError> {
+pub(crate) fn write(path: &Path, parts: &[&[u8]], sync: bool) -> Result<(), IoError> {
     step();
     let mut file = File::create(path).map_err(IoError::new("create", path))?;
     for part in parts {
@@ -79,7 +79,7 @@ pub(crate) fn write(path: &Path, parts: &[&[u8]], sync: bool) -> Result<File, Io
         step();
         file.sync_all().map_err(IoError::new("write", path))?;
     }
-    Ok(file)
+    Ok(())
 }
 
 /// Appends to a file that exists.

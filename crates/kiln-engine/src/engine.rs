@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
-use crate::build::Session;
+use crate::build::{Built, Session};
 use crate::context::join;
 use crate::disk::Stat;
 use crate::error::{EngineError, IoError};
@@ -20,7 +20,7 @@ use crate::store::Store;
 
 /// When a write waits for the device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Sync {
+pub enum Durability {
     /// Never: for tests and throw-away builds.
     Never,
     /// For output files only: a power cut may cost cache entries, which are found damaged and made again.
@@ -42,7 +42,7 @@ pub struct BuildOptions {
     /// Set it to stop soon: what runs is asked to end, nothing half is kept.
     pub cancel: Arc<AtomicBool>,
     /// When a write waits for the device.
-    pub sync: Sync,
+    pub durability: Durability,
     /// The coarsest step in which the file system may stamp files; see the module `files`. Smaller is a promise of the caller.
     pub clock_granularity: Duration,
 }
@@ -54,7 +54,7 @@ impl Default for BuildOptions {
             keep_going: false,
             dry_run: false,
             cancel: Arc::default(),
-            sync: Sync::default(),
+            durability: Durability::default(),
             clock_granularity: Duration::from_nanos(GRANULARITY as u64),
         }
     }
@@ -86,7 +86,8 @@ impl Engine {
 
     /// If a build would find everything fresh by the stats of files alone: the note left by [`Engine::remember_noop`].
     ///
-    /// Call it before the pipeline is read or folders are listed. `key` as in [`Noop`], `root` as in [`Plan`]. About 1 us a
+    /// Call it before the pipeline is read or folders are listed; where it finds work it makes the cache folder, to learn the file
+    /// system's time. `key` as in [`Noop`], `root` as in [`Plan`]. About 1 us a
     /// file. `None` says only that a build has to look closer.
     pub fn fast_noop_check(&self, root: &Path, key: &ContentHash) -> Option<Vec<u8>> {
         let hit = self.state.noop().and_then(|frame| noop::check(frame, key, root));
@@ -119,7 +120,7 @@ impl Engine {
         observer.event(&Event::Planned { actions: plan.actions.len(), targets: plan.targets.len() });
         let files = Files::new(&plan.root, &self.store, &self.state, self.granularity, options.dry_run);
         let session = Session::new(plan, options, observer, &self.store, &self.state, files);
-        let (mut report, seen, lasts) = session.run();
+        let Built { mut report, seen, lasts } = session.run();
         if !options.dry_run {
             self.keep(plan, seen, lasts);
         }
@@ -131,7 +132,8 @@ impl Engine {
         Ok(report)
     }
 
-    /// Why target `target` (an index) would be made again, or that it would not. Runs nothing, writes nothing.
+    /// Why target `target` (an index) would be made again, or that it would not. Runs nothing, and changes nothing but that a
+    /// damaged record is moved aside.
     ///
     /// # Errors
     /// The plan contradicts itself.
@@ -207,14 +209,28 @@ impl Engine {
             self.state.set_last(&plan.actions[action].id, last);
         }
         for (path, seen) in &seen {
-            if let Seen { hash: Some(hash), stat: Some(stat) } = seen {
-                self.state.set_memo(path, *stat, *hash);
+            let Some(hash) = seen.hash else { continue };
+            let refuted = self.state.memo(path).is_some_and(|(_, known)| *known != hash);
+            match seen.stat {
+                Some(stat) => self.state.set_memo(path, stat, hash),
+                // No file has this stat: what was known is known no more.
+                None if refuted => self.state.set_memo(path, Stat::default(), hash),
+                None => {}
             }
         }
         self.seen = seen;
         if let Err(error) = self.save(plan) {
             self.store.warn(format!("{error}; the next build will look closer"));
         }
+    }
+
+    /// Puts a wrong entry into the memo.
+    #[cfg(test)]
+    pub(crate) fn lie(&mut self, plan: &Plan, path: &str, stat: Stat, hash: ContentHash) {
+        self.store.prepare().expect("a writable folder");
+        self.state.load();
+        self.state.set_memo(path, stat, hash);
+        self.save(plan).expect("a writable folder");
     }
 
     fn save(&mut self, plan: &Plan) -> Result<(), IoError> {

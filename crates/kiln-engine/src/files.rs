@@ -33,6 +33,9 @@ pub(crate) struct Seen {
     pub(crate) stat: Option<Stat>,
 }
 
+/// A file's bytes and their digest; `None` if it is absent.
+pub(crate) type Content = Option<(Arc<[u8]>, ContentHash)>;
+
 /// The files of one build; each is looked at once, so that one build sees one content.
 pub(crate) struct Files<'a> {
     root: &'a Path,
@@ -71,11 +74,6 @@ impl<'a> Files<'a> {
 
     fn remember(&self, path: &str, seen: Seen) {
         self.seen.lock().unwrap_or_else(PoisonError::into_inner).insert(path.to_owned(), seen);
-    }
-
-    /// Looks at the file anew next time.
-    pub(crate) fn forget(&self, path: &str) {
-        self.seen.lock().unwrap_or_else(PoisonError::into_inner).remove(path);
     }
 
     /// The file now holds `hash`: this build wrote it. No stat is kept, since its times are of this moment.
@@ -135,7 +133,7 @@ impl<'a> Files<'a> {
     }
 
     /// The bytes of the file at `path`, hashed as they are, `None` if there is no such file.
-    pub(crate) fn read(&self, path: &str) -> Result<Option<(Arc<[u8]>, ContentHash)>, IoError> {
+    pub(crate) fn read(&self, path: &str) -> Result<Content, IoError> {
         self.now();
         let full = self.full(path);
         let read = || -> io::Result<(Vec<u8>, Stat, Stat)> {

@@ -18,6 +18,30 @@
 //! Fingerprints cover contents of outputs, so an action that runs and gives the same bytes stops the wave (early cut-off).
 //! Blobs are read only when an action runs or a target is written. A blob that is lost makes its action run again.
 //!
+//! # Example
+//! ```
+//! use kiln_engine::{Action, BuildOptions, Engine, NoObserver, Outputs, Plan, Source, Target};
+//!
+//! # let folder = tempfile::tempdir()?;
+//! # let root = folder.path().to_owned();
+//! std::fs::write(root.join("pot.txt"), "a pot")?;
+//! let shout = Action::new("pot#shout", "shout", 1, |context| {
+//!     let text = context.input("text")?;
+//!     Ok(Outputs::new().with("loud", text.to_ascii_uppercase()))
+//! });
+//! let target = Target { path: "pot.out".into(), action: 0, output: "loud".into() };
+//! let plan = Plan {
+//!     root: root.clone(),
+//!     actions: vec![shout.input("text", Source::file("pot.txt"))],
+//!     targets: vec![target],
+//! };
+//! let mut engine = Engine::open(root.join(".kiln"), "example");
+//! assert!(engine.build(&plan, &BuildOptions::default(), &NoObserver)?.succeeded());
+//! assert_eq!(std::fs::read(root.join("pot.out"))?, b"A POT");
+//! assert!(engine.build(&plan, &BuildOptions::default(), &NoObserver)?.nothing_to_do());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! # Limits
 //! One process runs the actions; remotes, garbage collection and other executors come later. Two caches that write one output
 //! at the same moment are not kept apart: the lock lies in the cache.
@@ -46,7 +70,7 @@ mod store;
 mod tests;
 
 pub use context::Context;
-pub use engine::{BuildOptions, Engine, Sync};
+pub use engine::{BuildOptions, Durability, Engine};
 pub use error::{ActionError, EngineError, IoError};
 pub use hash::{ContentHash, Fingerprint, NotADigest};
 pub use manifest::{Field, InputField, Manifest, Origin, Topic, Value};
@@ -54,6 +78,6 @@ pub use noop::Noop;
 pub use plan::{Action, Input, Outputs, Plan, PlanDefect, Run, Source, Target};
 pub use reason::StaleReason;
 pub use report::{
-    ActionReport, ActionState, BuildReport, Event, NoObserver, Observer, OutputRecord, Record, TargetError, TargetReport,
-    TargetState, Verdict, Why,
+    ActionReport, ActionState, BuildReport, Event, NoObserver, Observer, OutputRecord, Record, TargetError,
+    TargetReport, TargetState, Verdict, Why,
 };

@@ -92,6 +92,8 @@ value_from! {
     u32 => |v| Value::Integer(i64::from(v)),
     i32 => |v| Value::Integer(i64::from(v)),
     i64 => Value::Integer,
+    u64 => |v: u64| i64::try_from(v).map_or_else(|_| Value::Text(v.to_string()), Value::Integer),
+    usize => |v: usize| Value::from(v as u64),
     f32 => |v: f32| Value::Single(v.to_bits()),
     f64 => |v: f64| Value::Double(v.to_bits()),
     ContentHash => Value::Hash,
@@ -100,7 +102,7 @@ value_from! {
 /// What a field is about. The order is the order in which causes are named: a raised stage version before a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Topic {
-    /// The kind of stage.
+    /// The kind of stage, and whether it finds files.
     Kind,
     /// Its semantic version.
     Version,
@@ -298,7 +300,10 @@ fn explain(key: Key<'_>, old: Option<Entry<'_>>, new: Option<Entry<'_>>) -> Stal
                 Topic::Foreign => StaleReason::ForeignVersionChanged { old, new },
                 Topic::NumericClass => StaleReason::NumericClassChanged { old, new },
                 Topic::DeviceClass => StaleReason::DeviceClassChanged { old, new },
-                Topic::Kind => StaleReason::ParameterChanged { name: "kind".into(), old, new },
+                Topic::Kind => {
+                    let name = if name.is_empty() { "kind" } else { name };
+                    StaleReason::ParameterChanged { name: name.into(), old, new }
+                }
                 Topic::Parameter => StaleReason::ParameterChanged { name: name.to_owned(), old, new },
             }
         }
@@ -324,9 +329,7 @@ fn explain_input(key: Key<'_>, old: InputSide, new: InputSide) -> StaleReason {
             (Some(_), None) => StaleReason::InputFileMissing { path },
             _ => StaleReason::InputFileAdded { path },
         },
-        Some(Origin::Upstream { action, .. }) => {
-            StaleReason::UpstreamOutputChanged { input: name.to_owned(), action }
-        }
+        Some(Origin::Upstream { action, .. }) => StaleReason::UpstreamOutputChanged { input: name.to_owned(), action },
         _ => {
             let shown = |hash: Option<ContentHash>| hash.map(|hash| hash.short());
             StaleReason::ParameterChanged { name: name.to_owned(), old: shown(before), new: shown(now) }

@@ -94,6 +94,7 @@ impl Action {
         let field = |topic, name: &str, value: Value| Field { topic, name: name.to_owned(), value };
         let mut head = vec![
             field(Topic::Kind, "", self.kind.into()),
+            field(Topic::Kind, "discovers", self.discovers.is_some().into()),
             field(Topic::Version, "", self.version.into()),
         ];
         for foreign in &self.foreign {

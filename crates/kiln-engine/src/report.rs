@@ -161,7 +161,8 @@ pub struct BuildReport {
 impl BuildReport {
     /// No action and no target failed or was skipped, and nothing was cancelled.
     pub fn succeeded(&self) -> bool {
-        let action = |action: &ActionReport| !matches!(action.state, ActionState::Failed(_) | ActionState::Skipped { .. });
+        let action =
+            |action: &ActionReport| !matches!(action.state, ActionState::Failed(_) | ActionState::Skipped { .. });
         let target = |target: &TargetReport| !matches!(target.state, TargetState::Failed(_) | TargetState::Skipped);
         !self.cancelled && self.actions.iter().all(action) && self.targets.iter().all(target)
     }
@@ -188,6 +189,8 @@ pub enum Event<'a> {
     Started {
         /// Its index.
         action: usize,
+        /// Its label.
+        label: &'a str,
         /// Why.
         reason: &'a StaleReason,
     },
@@ -200,7 +203,7 @@ pub enum Event<'a> {
         /// What it does now.
         label: &'a str,
     },
-    /// An action is done with, in whatever way.
+    /// An action is done with, in whatever way; said again if its outputs were lost and it had to run after all.
     Finished {
         /// Its index.
         action: usize,

@@ -14,7 +14,7 @@
 //! work touches one frame. A damaged frame is skipped, a torn tail is cut, a missing file is an empty one: never an error.
 
 use std::collections::{HashMap, HashSet};
-use std::fs::{self, File, OpenOptions};
+use std::fs;
 use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -168,8 +168,7 @@ impl State {
             return;
         }
         let (name, head) = stored_head(&last);
-        if !self.heads.contains_key(&name) {
-            self.heads.insert(name, last.manifest.head.clone());
+        if self.heads.insert(name, last.manifest.head.clone()).is_none() {
             self.push(HEAD, &head);
         }
         self.push(LAST, &stored_last(id, name, &last));
@@ -198,37 +197,27 @@ impl State {
         }
         let live = self.memo.len() + self.heads.len() + self.last.len() + self.noop.is_some() as usize;
         let wasteful = self.entries > 2 * live + 64;
-        let Some(lock) = self.lock()? else { return Ok(()) };
-        let length = lock.metadata().map(|metadata| metadata.len()).unwrap_or(0);
+        let Some(lock) = store.try_lock(&self.path)? else { return Ok(()) };
+        let length = fs::metadata(&self.path).map_or(0, |metadata| metadata.len());
+        if length != self.valid as u64 {
+            // A torn tail, or frames of another builder: keep what is whole.
+            (_, self.valid) = frames(&fs::read(&self.path).unwrap_or_default());
+        }
         let appended = std::mem::take(&mut self.appended);
-        if wasteful || (self.valid > 0 && length < self.valid as u64) {
+        if wasteful {
             self.rewrite(store, seen)?;
         } else if self.valid == 0 {
-            disk::truncate(&self.path, 0)?;
-            disk::append(&self.path, &[&HEADER[..], &appended].concat())?;
+            disk::write(&self.path, &[HEADER, &appended], false)?;
             self.valid = HEADER.len() + appended.len();
         } else {
-            let (_, valid) = if length > self.valid as u64 {
-                // A torn tail of ours or another builder's frames: keep what is whole.
-                frames(&fs::read(&self.path).unwrap_or_default())
-            } else {
-                (Vec::new(), self.valid)
-            };
-            if length > valid as u64 {
-                disk::truncate(&self.path, valid as u64)?;
+            if length != self.valid as u64 {
+                disk::truncate(&self.path, self.valid as u64)?;
             }
             disk::append(&self.path, &appended)?;
-            self.valid = valid + appended.len();
+            self.valid += appended.len();
         }
         drop(lock);
         Ok(())
-    }
-
-    /// The file, made if needed and locked; `None` if another process holds it.
-    fn lock(&self) -> Result<Option<File>, IoError> {
-        let open = OpenOptions::new().append(true).create(true).open(&self.path);
-        let file = open.map_err(IoError::new("write", &self.path))?;
-        Ok(file.try_lock().is_ok().then_some(file))
     }
 
     /// Writes the live entries to a new file.

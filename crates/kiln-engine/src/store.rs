@@ -7,7 +7,7 @@
 //! CACHE/v1/blobs/<2 hex>/<hash>               {magic, type, codec version, raw length, hash} and the bytes
 //! CACHE/v1/tmp/                               files being written; renamed or linked when whole
 //! CACHE/v1/quarantine/                        what did not verify
-//! CACHE/v1/locks/                             one lock per output file
+//! CACHE/v1/locks/                             one lock an output, one a state file
 //! CACHE/v1/state/                             build-state files, one a pipeline
 //! ```
 //!
@@ -15,7 +15,7 @@
 //! miss. Blobs are written before the record that names them, so a kill leaves at worst litter. Without `sync` a power cut may
 //! leave damaged files; they are found by their hashes.
 
-use std::fs::{self, File};
+use std::fs::{self, File, OpenOptions};
 use std::hash::{BuildHasher, RandomState};
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -73,7 +73,10 @@ impl Store {
         }
         for (name, text) in [
             (".gitignore", "*\n"),
-            ("CACHEDIR.TAG", "Signature: 8a477f597d28d172789f06886806bc55\n# This folder is kiln's cache; it may be deleted at any time.\n"),
+            (
+                "CACHEDIR.TAG",
+                "Signature: 8a477f597d28d172789f06886806bc55\n# This folder is kiln's cache; it may be deleted at any time.\n",
+            ),
         ] {
             let path = self.cache.join(name);
             if !path.exists() {
@@ -89,9 +92,25 @@ impl Store {
         self.root.join("state").join(name)
     }
 
-    /// The lock file of an output.
-    pub(crate) fn lock_path(&self, output: &str) -> PathBuf {
-        self.root.join("locks").join(ContentHash::of(output.as_bytes()).hex().split_at(16).0)
+    fn lock_file(&self, name: &str) -> Result<(PathBuf, File), IoError> {
+        let path = self.root.join("locks").join(ContentHash::of(name.as_bytes()).hex().split_at(16).0);
+        let open = OpenOptions::new().write(true).create(true).truncate(false).open(&path);
+        let file = open.map_err(IoError::new("open", &path))?;
+        Ok((path, file))
+    }
+
+    /// Waits for the lock of an output; held until the file is dropped.
+    pub(crate) fn lock(&self, output: &str) -> Result<File, IoError> {
+        let (path, file) = self.lock_file(output)?;
+        file.lock().map_err(IoError::new("lock", &path))?;
+        Ok(file)
+    }
+
+    /// The lock of a state file, if nobody has it.
+    pub(crate) fn try_lock(&self, state: &Path) -> Result<Option<File>, IoError> {
+        let name = state.file_name().unwrap_or_default().to_string_lossy();
+        let (_, file) = self.lock_file(&format!("state {name}"))?;
+        Ok(file.try_lock().is_ok().then_some(file))
     }
 
     /// What the file system of the cache takes for now, nanoseconds since 1970: the time of a file just written.
@@ -135,7 +154,7 @@ impl Store {
     pub(crate) fn write_temporary(&self, parts: &[&[u8]], sync: bool) -> Result<PathBuf, IoError> {
         let path = self.temporary();
         match disk::write(&path, parts, sync) {
-            Ok(_) => Ok(path),
+            Ok(()) => Ok(path),
             Err(error) => {
                 // A full disk must not stay full of halves.
                 let _ = disk::remove(&path);

@@ -46,8 +46,13 @@ impl<'a> Envelope<'a> {
 
     /// Whether reserved bytes must be zero.
     pub(crate) fn strict(&self) -> bool {
-        self.minor <= MINOR
+        is_known(self.minor)
     }
+}
+
+/// Whether all that a file of this minor version may hold is known here.
+fn is_known(minor: u16) -> bool {
+    (0..=MINOR).contains(&minor)
 }
 
 /// How a section is named in findings.
@@ -68,8 +73,7 @@ pub(crate) fn read<'a>(bytes: &'a [u8], whole: bool, report: &mut CheckReport) -
     let header = read_header(bytes, whole, report)?;
     let before = report.count();
     let entries = read_table(bytes, &header, report)?;
-    let mut envelope =
-        Envelope { bytes, minor: header.minor, entries, states: vec![State::Absent; entries.len()] };
+    let mut envelope = Envelope { bytes, minor: header.minor, entries, states: vec![State::Absent; entries.len()] };
     check_tiling(&mut envelope, &header, whole, report);
     check_occurrence(&envelope, report);
     // A damaged table says nothing reliable about contents; damaged payload does not hurt the tables.
@@ -129,7 +133,7 @@ fn read_header(bytes: &[u8], whole: bool, report: &mut CheckReport) -> Option<He
         fail(Code::SectionCount, "section_count", format!("at most {room}"), header.section_count.to_string());
         return None;
     }
-    if header.minor <= MINOR && (header.reserved0 != 0 || header.reserved1 != [0; 24]) {
+    if is_known(header.minor) && (header.reserved0 != 0 || header.reserved1 != [0; 24]) {
         fail(Code::Reserved, "reserved", "zero".into(), "another value".into());
     }
     Some(header)

@@ -77,7 +77,8 @@ pub(crate) fn write(provenance: &Provenance) -> Result<Vec<u8>, FormatError> {
     for string in [&provenance.tool, &provenance.numeric_class, &provenance.device_class] {
         put_string(&mut out, string)?;
     }
-    let mut inputs: Vec<_> = provenance.inputs.iter().map(|(name, hash)| (name.nfc().collect::<String>(), hash)).collect();
+    let mut inputs: Vec<_> =
+        provenance.inputs.iter().map(|(name, hash)| (name.nfc().collect::<String>(), hash)).collect();
     inputs.sort();
     for (name, hash) in inputs {
         out.extend(hash);

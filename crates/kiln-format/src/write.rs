@@ -7,7 +7,7 @@ use unicode_normalization::UnicodeNormalization;
 
 use crate::aligned::AlignedBytes;
 use crate::container::Container;
-use crate::content::{box_of, full_mip_count};
+use crate::content::{full_mip_count, payload::box_of};
 use crate::error::{Code, FormatError};
 use crate::kind::{Channel, ErrorKind, Kind, PAYLOAD_ALIGNMENT, Role, Semantic, TABLE_ALIGNMENT, TextureFormat};
 use crate::provenance::{self, Provenance};

@@ -1,1 +1,11 @@
 //! Geometry: merge, simplify (metrics, placement, budgets, collapse sequence).
+//!
+//! Reading order: [`topology`] (points, edges and what they are), [`merge`], [`simplify`], [`normals`], [`check`].
+
+pub mod topology;
+pub mod merge;
+pub mod simplify;
+pub mod normals;
+pub mod check;
+#[cfg(test)]
+mod fixtures;

@@ -15,10 +15,11 @@ pub const NONE: u32 = u32::MAX;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 pub enum EdgeKind {
-    /// Two faces, consistently wound, which use the same wedges at both ends.
+    /// Two faces, consistently wound, of one submesh and one chart: at both ends they use the same wedge, or wedges that differ in
+    /// normal and tangent only (a crease: geometry prices it, nothing else holds it).
     #[default]
     Manifold,
-    /// Two faces of one submesh that use different wedges at one end or both.
+    /// Two faces of one submesh whose wedges differ in UV or colour at one end or both.
     Seam,
     /// Two faces of different submeshes.
     Boundary,
@@ -258,6 +259,20 @@ fn corners_at_points(face_points: &[[u32; 3]], point_count: usize) -> (Vec<u32>,
     (first, corners)
 }
 
+/// Whether two wedges at one point differ in nothing but normal and tangent: bitwise equal UVs and colours.
+pub(crate) fn same_chart(mesh: &Mesh, a: u32, b: u32) -> bool {
+    fn equal<T: PartialEq>(values: &Option<Vec<T>>, a: u32, b: u32) -> bool {
+        values.as_ref().is_none_or(|values| values[a as usize] == values[b as usize])
+    }
+    a == b
+        || equal(&mesh.uv0, a, b)
+            && equal(&mesh.uv1, a, b)
+            && equal(&mesh.atlas_uv, a, b)
+            && equal(&mesh.colors, a, b)
+            && equal(&mesh.joints, a, b)
+            && equal(&mesh.weights, a, b)
+}
+
 fn edge_kind(mesh: &Mesh, spoke: &Spoke) -> EdgeKind {
     match (spoke.out_count, spoke.in_count) {
         (1, 0) | (0, 1) => EdgeKind::Border,
@@ -266,7 +281,7 @@ fn edge_kind(mesh: &Mesh, spoke: &Spoke) -> EdgeKind {
             let (out, into) = (spoke.out_corner, spoke.in_corner);
             if mesh.face_submesh[out as usize / 3] != mesh.face_submesh[into as usize / 3] {
                 EdgeKind::Boundary
-            } else if wedge(out) != wedge(next(into)) || wedge(next(out)) != wedge(into) {
+            } else if !same_chart(mesh, wedge(out), wedge(next(into))) || !same_chart(mesh, wedge(next(out)), wedge(into)) {
                 EdgeKind::Seam
             } else {
                 EdgeKind::Manifold

@@ -1,1 +1,54 @@
 //! How far two assets are apart: renders, surface distance, contact sheets.
+//!
+//! Reading order: [`scene`] (what is drawn), [`camera`] (from where), [`render`] (the software renderer over `kiln-geom`'s
+//! rasteriser), [`image_error`] (pictures against pictures), [`distance`] (surfaces against surfaces), [`sheet`] (pictures
+//! beside pictures, with captions). [`texture`] reads texels.
+//!
+//! No measure here is used by any metric that simplifies, so that figures judge and do not mirror. All results are the same
+//! on any thread count.
+
+pub mod camera;
+pub mod distance;
+mod font;
+pub mod image_error;
+pub mod render;
+pub mod scene;
+pub mod sheet;
+pub mod texture;
+
+pub use camera::{Camera, Sphere, bounding_sphere};
+pub use distance::{Distances, SurfaceReference, surface_distance};
+pub use image_error::{ImageError, image_error};
+pub use render::{Mip, Mode, Picture, RenderOptions, render};
+pub use scene::Scene;
+pub use sheet::{Tile, encode_png, sheet};
+
+/// Why something cannot be measured.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum MeasureError {
+    /// Two lists of pictures do not pair up.
+    #[error("{reference} reference pictures against {other}: every view needs one of each")]
+    ViewCount {
+        /// Pictures of the reference.
+        reference: usize,
+        /// Pictures of the other.
+        other: usize,
+    },
+    /// Two pictures of one view differ in size.
+    #[error("view {view}: {reference_width}x{reference_height} against {width}x{height} pixels")]
+    PictureSize {
+        /// Which view.
+        view: usize,
+        /// Width of the reference, pixels.
+        reference_width: u32,
+        /// Height of the reference, pixels.
+        reference_height: u32,
+        /// Width of the other, pixels.
+        width: u32,
+        /// Height of the other, pixels.
+        height: u32,
+    },
+    /// A picture could not be encoded.
+    #[error("cannot encode the picture: {0}")]
+    Encode(String),
+}

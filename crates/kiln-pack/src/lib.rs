@@ -1,1 +1,73 @@
 //! A level set to a container and back; GLB and PNG out.
+//!
+//! [`pack()`] writes, [`unpack()`] reads back into asset values, [`inspect()`] tells what is in a file, [`glb`] hands levels to
+//! other tools. Bytes only: the caller reads and writes files.
+
+pub mod glb;
+pub mod inspect;
+pub mod mips;
+pub mod pack;
+#[cfg(test)]
+mod tests;
+pub mod unpack;
+
+pub use glb::{ExportLevels, ExportReport, export_container_glb, export_glb};
+pub use inspect::{InspectReport, inspect};
+pub use kiln_format::{FormatError, Provenance};
+pub use pack::{Layout, PackOptions, PackReport, PackedLevel, pack};
+pub use unpack::unpack;
+
+/// Why packing, unpacking or exporting failed.
+#[derive(Debug, Clone, thiserror::Error)]
+pub enum PackError {
+    /// The container, or what should become one, breaks a rule of the format.
+    #[error("invalid container: {0}")]
+    Format(#[from] FormatError),
+    /// A level's mesh breaks a promise.
+    #[error("level {level}: {error}")]
+    Mesh {
+        /// Which level.
+        level: usize,
+        /// What is broken.
+        error: kiln_asset::MeshError,
+    },
+    /// A picture could not be had.
+    #[error("image {image} ({name:?}): {message}")]
+    Image {
+        /// Which image.
+        image: u32,
+        /// Its name.
+        name: String,
+        /// Why.
+        message: String,
+    },
+    /// A reference of the material set or mesh is out of range.
+    #[error("{path}: expected an index below {expected}, found {found}")]
+    Reference {
+        /// Where.
+        path: String,
+        /// Number of things there are.
+        expected: usize,
+        /// The index.
+        found: u32,
+    },
+    /// Levels that do not belong together.
+    #[error("level {level}: {message}")]
+    Levels {
+        /// Which level.
+        level: usize,
+        /// What does not fit.
+        message: String,
+    },
+    /// The level asked for does not exist.
+    #[error("no level {asked}: there are {count}, numbered from 0 (finest)")]
+    NoSuchLevel {
+        /// What was asked for.
+        asked: usize,
+        /// How many there are.
+        count: usize,
+    },
+    /// More than a format can say.
+    #[error("unsupported: {0}")]
+    Unsupported(String),
+}

@@ -85,8 +85,9 @@ impl Build {
         let current = std::env::current_dir().unwrap_or_default();
         let has_paths = self.sets.iter().any(|set| set.starts_with("asset."));
         let key = format!(
-            "kiln {} {:?} {:?} {:?}",
+            "kiln {} {} {:?} {:?} {:?}",
             env!("CARGO_PKG_VERSION"),
+            kiln_pipeline::stages::identity(),
             self.backend,
             self.sets,
             has_paths.then_some(current)
@@ -292,7 +293,7 @@ pub struct WhyOutcome {
 pub struct WhyStage {
     /// The stage's id, or `output` for the file itself.
     pub stage: String,
-    /// `fresh`, `stale` or `depends`.
+    /// `fresh`, `stale`, `depends` or `fails`.
     pub verdict: &'static str,
     /// The first field that differs, with old and new value, in words.
     pub text: Option<String>,
@@ -321,6 +322,9 @@ pub fn why(build: &Build, output: &Path) -> Result<Option<WhyOutcome>, BuildErro
         Verdict::DependsOn { on } => {
             let name = asset.actions.iter().find(|(index, _)| index == on).map_or("another stage", |(_, name)| name);
             WhyStage { stage, verdict: "depends", text: Some(format!("depends on {name}")), reason: None }
+        }
+        Verdict::Fails { message } => {
+            WhyStage { stage, verdict: "fails", text: Some(format!("would fail: {message}")), reason: None }
         }
     };
     let mut stages: Vec<WhyStage> = Vec::new();

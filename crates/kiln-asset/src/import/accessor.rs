@@ -63,15 +63,8 @@ impl Component {
 }
 
 /// `type` of an accessor: (name, numbers an element, rows of a matrix or 0).
-const SHAPES: [(&str, usize, u64); 7] = [
-    ("SCALAR", 1, 0),
-    ("VEC2", 2, 0),
-    ("VEC3", 3, 0),
-    ("VEC4", 4, 0),
-    ("MAT2", 4, 2),
-    ("MAT3", 9, 3),
-    ("MAT4", 16, 4),
-];
+const SHAPES: [(&str, usize, u64); 7] =
+    [("SCALAR", 1, 0), ("VEC2", 2, 0), ("VEC3", 3, 0), ("VEC4", 4, 0), ("MAT2", 4, 2), ("MAT3", 9, 3), ("MAT4", 16, 4)];
 
 /// A range of a buffer.
 #[derive(Clone, Copy, Debug)]
@@ -123,6 +116,11 @@ impl Accessor {
         self.base.is_some() || self.sparse.is_some()
     }
 
+    /// Number of replaced elements.
+    pub(super) fn replaced_count(&self) -> u64 {
+        self.sparse.map_or(0, |sparse| sparse.count)
+    }
+
     /// `VEC3 of FLOAT`, to be read by people.
     pub(super) fn describe(&self) -> String {
         let normalized = if self.normalized { "normalized " } else { "" };
@@ -131,7 +129,11 @@ impl Accessor {
 }
 
 /// The buffer views; `None` where one is defective. `buffer_lengths`: `[buffer_count]` claimed lengths.
-pub(super) fn read_views(root: &Object<'_>, buffer_lengths: &[Option<u64>], defects: &mut Defects) -> Vec<Option<View>> {
+pub(super) fn read_views(
+    root: &Object<'_>,
+    buffer_lengths: &[Option<u64>],
+    defects: &mut Defects,
+) -> Vec<Option<View>> {
     let views = root.objects("bufferViews", defects);
     views.iter().map(|view| read_view(view.as_ref()?, buffer_lengths, defects)).collect()
 }
@@ -145,7 +147,7 @@ fn read_view(view: &Object<'_>, buffer_lengths: &[Option<u64>], defects: &mut De
         return None;
     }
     if let Some(stride) = stride.filter(|stride| !(1..=252).contains(stride)) {
-        defects.invalid(view.path_of("byteStride"), format!("{stride} bytes; it must lie between 4 and 252"));
+        defects.invalid(view.path_of("byteStride"), format!("{stride} bytes; it must lie between 1 and 252"));
         return None;
     }
     let (buffer, length, start) = (buffer?, length?, start?);
@@ -158,17 +160,31 @@ fn read_view(view: &Object<'_>, buffer_lengths: &[Option<u64>], defects: &mut De
     Some(View { buffer, start, length, stride })
 }
 
+/// How many elements an accessor may have.
+#[derive(Clone, Copy)]
+pub(super) struct MostElements {
+    pub(super) stored: u64,
+    /// Where no view stands behind them, all being zero but for the replaced ones: such a count costs a file nothing.
+    pub(super) zeros: u64,
+}
+
 /// The accessors; `None` where one is defective.
 pub(super) fn read_accessors(
-    root: &Object<'_>, views: &[Option<View>], max_count: u64, defects: &mut Defects, notes: &mut Notes,
+    root: &Object<'_>,
+    views: &[Option<View>],
+    most: MostElements,
+    defects: &mut Defects,
+    notes: &mut Notes,
 ) -> Vec<Option<Accessor>> {
     let accessors = root.objects("accessors", defects);
-    let mut sparse_left = max_count;
-    accessors.iter().map(|a| read_accessor(a.as_ref()?, views, max_count, &mut sparse_left, defects, notes)).collect()
+    accessors.iter().map(|accessor| read_accessor(accessor.as_ref()?, views, most, defects, notes)).collect()
 }
 
 fn read_accessor(
-    accessor: &Object<'_>, views: &[Option<View>], max_count: u64, sparse_left: &mut u64, defects: &mut Defects,
+    accessor: &Object<'_>,
+    views: &[Option<View>],
+    most: MostElements,
+    defects: &mut Defects,
     notes: &mut Notes,
 ) -> Option<Accessor> {
     let component = read_component(accessor, defects);
@@ -176,13 +192,14 @@ fn read_accessor(
     let count = accessor.need_unsigned("count", defects);
     let normalized = accessor.boolean("normalized", defects).unwrap_or(false);
     let count_path = accessor.path_of("count");
+    let most = if accessor.has("bufferView") { most.stored } else { most.zeros.min(most.stored) };
     let count = match count? {
         0 => {
             defects.invalid(count_path, "is 0, but an accessor has at least one element");
             None
         }
-        count if count > max_count => {
-            defects.invalid(count_path, format!("{count} elements, the limit is {max_count}"));
+        count if count > most => {
+            defects.invalid(count_path, format!("{count} elements, the limit here is {most}"));
             None
         }
         count => Some(count),
@@ -199,7 +216,7 @@ fn read_accessor(
         false => None,
     };
     let sparse = match accessor.has("sparse") {
-        true => Some(read_sparse(accessor, views, element, count, sparse_left, defects, notes)?),
+        true => Some(read_sparse(accessor, views, element, count, defects, notes)?),
         false => None,
     };
     Some(Accessor { path: accessor.path.clone(), component, shape, lanes, normalized, count, base, sparse })
@@ -240,7 +257,12 @@ struct Element {
 
 /// `count` elements from `byteOffset` of `bufferView` of `object`, if they fit.
 fn read_run(
-    object: &Object<'_>, views: &[Option<View>], element: Element, count: u64, defects: &mut Defects, notes: &mut Notes,
+    object: &Object<'_>,
+    views: &[Option<View>],
+    element: Element,
+    count: u64,
+    defects: &mut Defects,
+    notes: &mut Notes,
 ) -> Option<Run> {
     let index = object.need_index("bufferView", "bufferViews", views.len(), defects);
     let offset = if object.has("byteOffset") { object.unsigned("byteOffset", defects) } else { Some(0) };
@@ -276,8 +298,12 @@ fn read_run(
 }
 
 fn read_sparse(
-    accessor: &Object<'_>, views: &[Option<View>], element: Element, elements: u64, sparse_left: &mut u64,
-    defects: &mut Defects, notes: &mut Notes,
+    accessor: &Object<'_>,
+    views: &[Option<View>],
+    element: Element,
+    elements: u64,
+    defects: &mut Defects,
+    notes: &mut Notes,
 ) -> Option<Sparse> {
     let sparse = accessor.object("sparse", defects)?;
     let count = sparse.need_unsigned("count", defects);
@@ -288,12 +314,6 @@ fn read_sparse(
         defects.invalid(sparse.path_of("count"), format!("{count} replacements of {elements} elements"));
         return None;
     }
-    // Many accessors may name the same bytes; their sum keeps the work within the limits.
-    let Some(left) = sparse_left.checked_sub(count) else {
-        defects.invalid(sparse.path_of("count"), "more replaced elements in all accessors than the limit on vertices");
-        return None;
-    };
-    *sparse_left = left;
     let index_component = read_component(&indices, defects)?;
     if !matches!(index_component, Component::U8 | Component::U16 | Component::U32) {
         let message = format!("expected an unsigned type, found {}", index_component.name());

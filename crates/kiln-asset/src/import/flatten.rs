@@ -12,8 +12,13 @@ use crate::mesh::{AttributeSet, RawMesh, Submesh};
 
 /// Joins the placed primitives. `contents[mesh][primitive]`: `None` where it was not read.
 pub(super) fn flatten(
-    placements: &[Placement], meshes: &[MeshDef], contents: &[Vec<Option<Primitive>>], materials: &[Material],
-    report: &mut ImportReport, defects: &mut Defects, notes: &mut Notes,
+    placements: &[Placement],
+    meshes: &[MeshDef],
+    contents: &[Vec<Option<Primitive>>],
+    materials: &[Material],
+    report: &mut ImportReport,
+    defects: &mut Defects,
+    notes: &mut Notes,
 ) -> RawMesh {
     let placed = || placements.iter().flat_map(|p| contents[p.mesh].iter().flatten());
     let mut builder = Builder::new(placed().fold(AttributeSet::default(), |sum, p| union(sum, p.attributes)));
@@ -31,7 +36,8 @@ pub(super) fn flatten(
                 note_uv_sets(material, &primitive.attributes, &name, notes);
             }
             if !builder.append(primitive, &transform, name) {
-                defects.invalid(format!("nodes[{}]", placement.node), "places a vertex beyond what a 32-bit float holds");
+                defects
+                    .invalid(format!("nodes[{}]", placement.node), "places a vertex beyond what a 32-bit float holds");
             }
         }
     }

@@ -88,7 +88,10 @@ fn raster_size(bytes: &[u8]) -> Option<(u32, u32)> {
 
 /// Checks an image's size against the limits by its header; gives the size.
 pub(super) fn check_size(
-    path: &str, format: ImageFormat, bytes: &[u8], limits: &ImageLimits,
+    path: &str,
+    format: ImageFormat,
+    bytes: &[u8],
+    limits: &ImageLimits,
 ) -> Result<(u32, u32), ImportError> {
     let Some((width, height)) = image_size(format, bytes) else {
         return Err(ImportError::invalid(path, "its header is broken or cut off"));

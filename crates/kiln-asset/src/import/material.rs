@@ -26,8 +26,13 @@ pub(super) struct Library {
 
 /// Reads everything that the document's `materials` use. The material of index `i` in the file keeps that index.
 pub(super) fn read_materials(
-    root: &Object<'_>, views: &[Option<View>], buffers: &[Bytes<'_>], sources: &mut Sources<'_>, limits: &ImportLimits,
-    defects: &mut Defects, notes: &mut Notes,
+    root: &Object<'_>,
+    views: &[Option<View>],
+    buffers: &[Bytes<'_>],
+    sources: &mut Sources<'_>,
+    limits: &ImportLimits,
+    defects: &mut Defects,
+    notes: &mut Notes,
 ) -> Library {
     let samplers: Vec<Sampler> = (root.objects("samplers", defects).iter())
         .map(|sampler| sampler.as_ref().map_or(Sampler::default(), |sampler| read_sampler(sampler, defects)))
@@ -56,9 +61,13 @@ pub(super) fn read_materials(
 }
 
 fn read_material(
-    object: &Object<'_>, textures: &mut Textures<'_, '_, '_>, defects: &mut Defects, notes: &mut Notes,
+    object: &Object<'_>,
+    textures: &mut Textures<'_, '_, '_>,
+    defects: &mut Defects,
+    notes: &mut Notes,
 ) -> Material {
-    let mut out = Material { name: object.string("name", defects).unwrap_or_default().to_owned(), ..Default::default() };
+    let mut out =
+        Material { name: object.string("name", defects).unwrap_or_default().to_owned(), ..Default::default() };
     note_extensions(object, &[], defects, notes);
     if let Some(pbr) = object.object("pbrMetallicRoughness", defects) {
         if let Some(factor) = pbr.floats::<4>("baseColorFactor", defects) {
@@ -153,8 +162,7 @@ fn read_sampler(object: &Object<'_>, defects: &mut Defects) -> Sampler {
 }
 
 /// Extensions by which a texture has a source that kiln does not decode.
-const TEXTURE_SOURCES: [&str; 4] =
-    ["KHR_texture_basisu", "EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds"];
+const TEXTURE_SOURCES: [&str; 4] = ["KHR_texture_basisu", "EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds"];
 
 /// Where an image's bytes come from; equal origins are one image.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -183,7 +191,11 @@ struct Textures<'j, 'b, 'f> {
 impl Textures<'_, '_, '_> {
     /// The texture that `object.key` refers to.
     fn reference(
-        &mut self, object: &Object<'_>, key: &str, defects: &mut Defects, notes: &mut Notes,
+        &mut self,
+        object: &Object<'_>,
+        key: &str,
+        defects: &mut Defects,
+        notes: &mut Notes,
     ) -> Option<TextureRef> {
         const TRANSFORM: &str = "KHR_texture_transform";
         let info = object.object(key, defects)?;
@@ -303,7 +315,8 @@ impl Textures<'_, '_, '_> {
             None => file.as_deref().map_or_else(|| format!("image{index}"), stem),
         };
         let kind = if format == ImageFormat::Png { "png" } else { "jpeg" };
-        let summary = ImageSummary { name: name.clone(), format: kind.into(), width, height, bytes: bytes.len() as u64 };
+        let summary =
+            ImageSummary { name: name.clone(), format: kind.into(), width, height, bytes: bytes.len() as u64 };
         self.library.summaries.push(summary);
         self.library.set.images.push(ImageInfo { name, format, hash: *blake3::hash(&bytes).as_bytes() });
         self.library.images.push(bytes);
@@ -312,7 +325,11 @@ impl Textures<'_, '_, '_> {
     }
 
     fn format(
-        &self, image: &Object<'_>, bytes: &[u8], defects: &mut Defects, notes: &mut Notes,
+        &self,
+        image: &Object<'_>,
+        bytes: &[u8],
+        defects: &mut Defects,
+        notes: &mut Notes,
     ) -> Option<ImageFormat> {
         let claimed = match image.string("mimeType", defects) {
             None => None,

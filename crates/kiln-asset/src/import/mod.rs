@@ -42,6 +42,7 @@ mod source;
 mod uri;
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests;
 
 use std::io;
@@ -51,6 +52,7 @@ pub use self::error::{Defect, ImportError};
 pub use self::image::{decode_image, image_format, image_size};
 pub use self::report::{ImageSummary, ImportReport, ModelFormat, NotCarried, Repair, RepairKind};
 
+use self::accessor::MostElements;
 use self::error::Defects;
 use self::json::Object;
 use self::primitive::{Context, MeshDef};
@@ -117,7 +119,7 @@ pub struct ImportLimits {
     pub max_file_bytes: u64,
     /// JSON text, bytes. Default 512 MiB.
     pub max_json_bytes: u64,
-    /// Vertices of the asset, all instances in place; also elements of one accessor but for indices. Default 2^26.
+    /// Vertices of the asset, all instances in place; also replaced elements of sparse accessors, each use. Default 2^26.
     pub max_vertices: u64,
     /// Triangles of the asset, all instances in place. Default 2^26.
     pub max_triangles: u64,
@@ -145,7 +147,8 @@ impl Default for ImportLimits {
 
 /// Whether [`import`] takes a file of this name: `.glb` or `.gltf` in any case.
 pub fn is_supported_path(path: &str) -> bool {
-    let extension = path.rsplit(['/', '\\']).next().and_then(|name| name.rsplit_once('.')).map(|(_, extension)| extension);
+    let extension =
+        path.rsplit(['/', '\\']).next().and_then(|name| name.rsplit_once('.')).map(|(_, extension)| extension);
     extension.is_some_and(|e| e.eq_ignore_ascii_case("glb") || e.eq_ignore_ascii_case("gltf"))
 }
 
@@ -172,14 +175,17 @@ pub fn import(files: &dyn Files, main: &str, limits: &ImportLimits) -> Result<(A
     };
     let mut notes = Notes::default();
     let mut report = ImportReport { format: shell.format, ..Default::default() };
-    read_head(&root, &mut report, &mut defects)?;
+    read_head(&root, &mut report, &mut defects);
 
     let (lengths, buffers) = source::read_buffers(&root, shell.binary, &mut sources, &mut defects);
     let views = accessor::read_views(&root, &lengths, &mut defects);
-    let most = limits.max_triangles.saturating_mul(3).max(limits.max_vertices).min(u32::MAX as u64);
+    let most = MostElements {
+        stored: limits.max_triangles.saturating_mul(3).max(limits.max_vertices).min(u32::MAX as u64),
+        // No more zeros than the model has bytes.
+        zeros: lengths.iter().flatten().fold(0, |sum, length| sum.saturating_add(*length)),
+    };
     let accessors = accessor::read_accessors(&root, &views, most, &mut defects, &mut notes);
-    let library =
-        material::read_materials(&root, &views, &buffers, &mut sources, limits, &mut defects, &mut notes);
+    let library = material::read_materials(&root, &views, &buffers, &mut sources, limits, &mut defects, &mut notes);
     let context = Context {
         accessors: &accessors,
         material_count: library.set.materials.len(),
@@ -197,9 +203,8 @@ pub fn import(files: &dyn Files, main: &str, limits: &ImportLimits) -> Result<(A
     let mut contents = Vec::with_capacity(meshes.len());
     for (mesh, placed) in meshes.iter().zip(placed) {
         let primitives = if placed { mesh.primitives.as_slice() } else { &[] };
-        let read = primitives.iter().map(|p| {
-            primitive::read_contents(p, &accessors, &buffers, &mut defects, &mut notes)
-        });
+        let read =
+            primitives.iter().map(|p| primitive::read_contents(p, &accessors, &buffers, &mut defects, &mut notes));
         contents.push(read.collect::<Vec<_>>());
     }
     defects.check()?;
@@ -222,7 +227,7 @@ pub fn import(files: &dyn Files, main: &str, limits: &ImportLimits) -> Result<(A
 }
 
 /// Versions and extensions: what decides whether the rest can be read at all.
-fn read_head(root: &Object<'_>, report: &mut ImportReport, defects: &mut Defects) -> Result<(), ImportError> {
+fn read_head(root: &Object<'_>, report: &mut ImportReport, defects: &mut Defects) {
     if let Some(asset) = root.need_object("asset", defects) {
         report.generator = asset.string("generator", defects).unwrap_or_default().to_owned();
         let version = asset.string("version", defects);
@@ -243,7 +248,6 @@ fn read_head(root: &Object<'_>, report: &mut ImportReport, defects: &mut Defects
     report.extensions_used = used.into_iter().map(|(_, name)| name.to_owned()).collect();
     // Every extension that has an influence is refused where it is in use, so what is left had none.
     report.extensions_ignored = report.extensions_used.clone();
-    Ok(())
 }
 
 fn note_not_carried(root: &Object<'_>, notes: &mut Notes) {
@@ -252,20 +256,25 @@ fn note_not_carried(root: &Object<'_>, notes: &mut Notes) {
     }
 }
 
+/// Ids have 32 bits, whatever the limits say.
+const MOST_IDS: u64 = u32::MAX as u64 - 1;
+
 /// Sums over all placements against the limits, before any content is read: instances multiply.
 fn check_sums(placements: &[Placement], meshes: &[MeshDef], limits: &ImportLimits) -> Result<(), ImportError> {
-    let (mut vertices, mut triangles, mut submeshes) = (0u64, 0u64, 0u64);
+    let (mut vertices, mut triangles, mut replaced, mut submeshes) = (0u64, 0u64, 0u64, 0u64);
     for placement in placements {
         for primitive in &meshes[placement.mesh].primitives {
             vertices = vertices.saturating_add(primitive.used_vertices_at_most());
             triangles = triangles.saturating_add(primitive.triangle_count());
+            replaced = replaced.saturating_add(primitive.replaced_count);
             submeshes += 1;
         }
     }
     let mut defects = Defects::default();
     for (what, sum, limit) in [
-        ("vertices", vertices, limits.max_vertices),
-        ("triangles", triangles, limits.max_triangles),
+        ("vertices", vertices, limits.max_vertices.min(MOST_IDS)),
+        ("triangles", triangles, limits.max_triangles.min(MOST_IDS / 3)),
+        ("replaced elements", replaced, limits.max_vertices),
         ("submeshes", submeshes, limits.max_submeshes),
     ] {
         if sum > limit {
@@ -276,7 +285,11 @@ fn check_sums(placements: &[Placement], meshes: &[MeshDef], limits: &ImportLimit
 }
 
 fn count(
-    report: &mut ImportReport, root: &Object<'_>, mesh: &Mesh, meshes: &[MeshDef], materials: &crate::MaterialSet,
+    report: &mut ImportReport,
+    root: &Object<'_>,
+    mesh: &Mesh,
+    meshes: &[MeshDef],
+    materials: &crate::MaterialSet,
 ) {
     report.vertices = mesh.vertex_count() as u64;
     report.triangles = mesh.face_count() as u64;

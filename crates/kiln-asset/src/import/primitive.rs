@@ -34,6 +34,8 @@ pub(super) struct PrimitiveDef {
     pub(super) material: Option<usize>,
     /// Vertices stored.
     pub(super) vertex_count: u64,
+    /// Replaced elements in all of its accessors: each use of a sparse accessor reads them again.
+    pub(super) replaced_count: u64,
     /// Corners: indices, or vertices where there are none.
     corner_count: u64,
 }
@@ -96,7 +98,10 @@ pub(super) struct Context<'a> {
 
 /// The meshes; defective primitives are left out, each with its defects noted.
 pub(super) fn read_meshes(
-    root: &Object<'_>, context: &Context<'_>, defects: &mut Defects, notes: &mut Notes,
+    root: &Object<'_>,
+    context: &Context<'_>,
+    defects: &mut Defects,
+    notes: &mut Notes,
 ) -> Vec<MeshDef> {
     let mut out = Vec::new();
     for mesh in root.objects("meshes", defects) {
@@ -118,7 +123,10 @@ pub(super) fn read_meshes(
 }
 
 fn read_primitive(
-    object: &Object<'_>, context: &Context<'_>, defects: &mut Defects, notes: &mut Notes,
+    object: &Object<'_>,
+    context: &Context<'_>,
+    defects: &mut Defects,
+    notes: &mut Notes,
 ) -> Option<PrimitiveDef> {
     note_extensions(object, &[], defects, notes);
     notes.not_carried("morph targets", object.count("targets") as u64);
@@ -135,6 +143,7 @@ fn read_primitive(
     let draco = object.object("extensions", defects).is_some_and(|e| e.has(DRACO));
     let mut attributes = [None; SEMANTICS.len()];
     let mut vertex_count = None;
+    let mut replaced_count = 0u64;
     let mut whole = true;
     for (slot, rule) in attributes.iter_mut().zip(SEMANTICS) {
         if !list.has(rule.0) {
@@ -145,6 +154,7 @@ fn read_primitive(
             continue;
         };
         *slot = Some(index);
+        replaced_count = replaced_count.saturating_add(accessor.replaced_count());
         let count = *vertex_count.get_or_insert(accessor.count);
         if count != accessor.count {
             let message = format!("{} elements, but the first attribute has {count}", accessor.count);
@@ -164,6 +174,7 @@ fn read_primitive(
     if object.has("indices") {
         let (index, accessor) = usable(object, ("indices", &["SCALAR"], INDEX), context, draco, defects)?;
         indices = Some(index);
+        replaced_count = replaced_count.saturating_add(accessor.replaced_count());
         corner_count = Some(accessor.count);
     }
     if !whole {
@@ -176,6 +187,7 @@ fn read_primitive(
         attributes,
         material,
         vertex_count: vertex_count?,
+        replaced_count,
         corner_count: corner_count?,
     })
 }
@@ -201,7 +213,11 @@ fn read_mode(object: &Object<'_>, defects: &mut Defects) -> Option<Mode> {
 
 /// The accessor that `object.key` refers to, if it suits the rule and has data.
 fn usable<'a>(
-    object: &Object<'_>, (key, shapes, components): Rule, context: &Context<'a>, draco: bool, defects: &mut Defects,
+    object: &Object<'_>,
+    (key, shapes, components): Rule,
+    context: &Context<'a>,
+    draco: bool,
+    defects: &mut Defects,
 ) -> Option<(usize, &'a Accessor)> {
     let index = object.index(key, "accessors", context.accessors.len(), defects)?;
     let accessor = context.accessors[index].as_ref()?;
@@ -220,8 +236,12 @@ fn usable<'a>(
     }
     if !accessor.has_data() {
         match draco {
-            true => defects.unsupported(path, format!("{DRACO}: the compressed data is not read; write plain accessors")),
-            false => defects.unsupported(path, format!("{} has neither a buffer view nor replaced elements", accessor.path)),
+            true => {
+                defects.unsupported(path, format!("{DRACO}: the compressed data is not read; write plain accessors"))
+            }
+            false => {
+                defects.unsupported(path, format!("{} has neither a buffer view nor replaced elements", accessor.path))
+            }
         }
         return None;
     }
@@ -246,7 +266,11 @@ pub(super) struct Primitive {
 
 /// Reads a primitive's contents. `None` where a defect was noted.
 pub(super) fn read_contents(
-    def: &PrimitiveDef, accessors: &[Option<Accessor>], buffers: &[Bytes<'_>], defects: &mut Defects, notes: &mut Notes,
+    def: &PrimitiveDef,
+    accessors: &[Option<Accessor>],
+    buffers: &[Bytes<'_>],
+    defects: &mut Defects,
+    notes: &mut Notes,
 ) -> Option<Primitive> {
     let corners = read_corners(def, accessors, buffers, defects)?;
     let mut triangles = triangulate(def.mode, &corners);
@@ -277,7 +301,9 @@ pub(super) fn read_contents(
     let positions = read_positions(&position?, &used, &def.path, defects)?;
     let normals = normal.map(|reader| repairs.normals(&reader, &used, &positions, &triangles)).unwrap_or_default();
     let tangents = tangent.map(|reader| repairs.tangents(&reader, &used, &normals)).unwrap_or_default();
-    let [uv0, uv1] = uv.map(|reader| reader.map(|reader| repairs.uvs(&reader, &used)).unwrap_or_default());
+    let [uv0, uv1] = uv;
+    let uv0 = uv0.map(|reader| repairs.uvs(&reader, &used, Semantic::Uv0)).unwrap_or_default();
+    let uv1 = uv1.map(|reader| repairs.uvs(&reader, &used, Semantic::Uv1)).unwrap_or_default();
     let colors = color.map(|reader| repairs.colors(&reader, &used)).unwrap_or_default();
     let weights = weights.map(|reader| repairs.weights(&reader, &used)).unwrap_or_default();
     let joints: Vec<[u16; 4]> = joints
@@ -292,13 +318,14 @@ pub(super) fn read_contents(
         skin: !joints.is_empty(),
     };
     let material = def.material;
-    Some(Primitive {
-        material, attributes, positions, normals, tangents, uv0, uv1, colors, joints, weights, triangles,
-    })
+    Some(Primitive { material, attributes, positions, normals, tangents, uv0, uv1, colors, joints, weights, triangles })
 }
 
 fn read_corners(
-    def: &PrimitiveDef, accessors: &[Option<Accessor>], buffers: &[Bytes<'_>], defects: &mut Defects,
+    def: &PrimitiveDef,
+    accessors: &[Option<Accessor>],
+    buffers: &[Bytes<'_>],
+    defects: &mut Defects,
 ) -> Option<Vec<u32>> {
     let Some(index) = def.indices else { return Some((0..def.corner_count as u32).collect()) };
     let accessor = accessors[index].as_ref()?;
@@ -381,9 +408,7 @@ impl Repairs<'_> {
         self.notes.repair(kind, count as u64, || format!("{}.attributes.{name}", self.path));
     }
 
-    fn normals(
-        &mut self, reader: &Reader<'_>, used: &[u32], positions: &[Vec3], triangles: &[[u32; 3]],
-    ) -> Vec<Vec3> {
+    fn normals(&mut self, reader: &Reader<'_>, used: &[u32], positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
         let mut normals: Vec<Vec3> = used.iter().map(|v| Vec3::from_array(reader.floats(*v, 0.0))).collect();
         let directed = |n: &Vec3| n.is_finite() && n.length_squared() > 1e-12 && n.length_squared().is_finite();
         let lost = normals.iter().filter(|n| !directed(n)).count();
@@ -429,7 +454,7 @@ impl Repairs<'_> {
         tangents
     }
 
-    fn uvs(&mut self, reader: &Reader<'_>, used: &[u32]) -> Vec<Vec2> {
+    fn uvs(&mut self, reader: &Reader<'_>, used: &[u32], semantic: Semantic) -> Vec<Vec2> {
         let mut lost = 0;
         let read = |v: &u32| {
             let uv = Vec2::from_array(reader.floats(*v, 0.0));
@@ -437,7 +462,7 @@ impl Repairs<'_> {
             if uv.is_finite() { uv } else { Vec2::ZERO }
         };
         let uvs = used.iter().map(read).collect();
-        self.note(RepairKind::UvNotFinite, lost, Semantic::Uv0);
+        self.note(RepairKind::UvNotFinite, lost, semantic);
         uvs
     }
 

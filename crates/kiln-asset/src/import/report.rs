@@ -181,8 +181,7 @@ impl Notes {
     }
 
     pub(super) fn finish(self, report: &mut ImportReport) {
-        report.repairs =
-            self.repairs.into_iter().map(|(kind, (count, first))| Repair { kind, count, first }).collect();
+        report.repairs = self.repairs.into_iter().map(|(kind, (count, first))| Repair { kind, count, first }).collect();
         report.not_carried = self.not_carried.into_iter().map(|(what, count)| NotCarried { what, count }).collect();
     }
 }

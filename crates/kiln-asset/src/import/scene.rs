@@ -32,13 +32,16 @@ struct Node<'a> {
 /// Every mesh of the default scene in place, depth first in the order in which nodes are listed. Without any scene all nodes
 /// without a parent count.
 pub(super) fn read_placements(
-    root: &Object<'_>, mesh_count: usize, limits: &ImportLimits, defects: &mut Defects, notes: &mut Notes,
+    root: &Object<'_>,
+    mesh_count: usize,
+    limits: &ImportLimits,
+    defects: &mut Defects,
+    notes: &mut Notes,
 ) -> Vec<Placement> {
     let objects = root.objects("nodes", defects);
     let count = objects.len();
-    let nodes: Vec<Option<Node<'_>>> = (objects.into_iter())
-        .map(|node| node.map(|node| read_node(node, count, mesh_count, defects, notes)))
-        .collect();
+    let nodes: Vec<Option<Node<'_>>> =
+        (objects.into_iter()).map(|node| node.map(|node| read_node(node, count, mesh_count, defects, notes))).collect();
     let parents = find_parents(&nodes, defects);
     refuse_cycles(&parents, defects);
     let roots = read_roots(root, &parents, defects, notes);
@@ -46,7 +49,11 @@ pub(super) fn read_placements(
 }
 
 fn read_node<'a>(
-    object: Object<'a>, node_count: usize, mesh_count: usize, defects: &mut Defects, notes: &mut Notes,
+    object: Object<'a>,
+    node_count: usize,
+    mesh_count: usize,
+    defects: &mut Defects,
+    notes: &mut Notes,
 ) -> Node<'a> {
     const INSTANCING: &str = "EXT_mesh_gpu_instancing";
     note_extensions(&object, &[INSTANCING], defects, notes);
@@ -128,9 +135,7 @@ fn refuse_cycles(parents: &[Option<usize>], defects: &mut Defects) {
     }
 }
 
-fn read_roots(
-    root: &Object<'_>, parents: &[Option<usize>], defects: &mut Defects, notes: &mut Notes,
-) -> Vec<usize> {
+fn read_roots(root: &Object<'_>, parents: &[Option<usize>], defects: &mut Defects, notes: &mut Notes) -> Vec<usize> {
     let scenes = root.objects("scenes", defects);
     if scenes.is_empty() && !root.has("scene") {
         return (0..parents.len()).filter(|n| parents[*n].is_none()).collect();

@@ -83,7 +83,10 @@ const COMPRESSING: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compress
 
 /// The buffers' claimed lengths (`None`: unknown) and bytes (empty where defective).
 pub(super) fn read_buffers<'a>(
-    root: &Object<'_>, binary: Option<&'a [u8]>, sources: &mut Sources<'_>, defects: &mut Defects,
+    root: &Object<'_>,
+    binary: Option<&'a [u8]>,
+    sources: &mut Sources<'_>,
+    defects: &mut Defects,
 ) -> (Vec<Option<u64>>, Vec<Bytes<'a>>) {
     let mut lengths = Vec::new();
     let mut contents = Vec::new();
@@ -106,7 +109,10 @@ pub(super) fn read_buffers<'a>(
 }
 
 fn read_buffer<'a>(
-    buffer: &Object<'_>, binary: Option<&'a [u8]>, sources: &mut Sources<'_>, defects: &mut Defects,
+    buffer: &Object<'_>,
+    binary: Option<&'a [u8]>,
+    sources: &mut Sources<'_>,
+    defects: &mut Defects,
 ) -> Option<Bytes<'a>> {
     if !buffer.has("uri") {
         let compressing = buffer.object("extensions", defects).and_then(|e| COMPRESSING.iter().find(|c| e.has(c)));

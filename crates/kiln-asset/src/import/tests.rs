@@ -431,8 +431,7 @@ fn a_material_with_all_five_textures_arrives_whole() {
         { "uri": "maps/./second%20one.png", "name": "the same file" },
         { "uri": "unused.png" }
     ]);
-    model.document["samplers"] =
-        json!([{ "wrapS": 33071, "wrapT": 33648, "magFilter": 9728, "minFilter": 9985 }]);
+    model.document["samplers"] = json!([{ "wrapS": 33071, "wrapT": 33648, "magFilter": 9728, "minFilter": 9985 }]);
     model.document["textures"] = json!([
         { "source": 0, "sampler": 0 }, { "source": 1 }, { "source": 2 }, { "source": 3 }
     ]);

@@ -122,8 +122,21 @@ mod tests {
     #[test]
     fn uris_that_leave_the_folder_are_refused() {
         for uri in [
-            "../x.bin", "a/../../x.bin", "%2e%2e/x.bin", "/etc/passwd", "//host/x", "http://host/x.bin", "file:x", "C:/x",
-            "a\\..\\..\\x", "..", ".", "", "a%00b", "%zz", "%F",
+            "../x.bin",
+            "a/../../x.bin",
+            "%2e%2e/x.bin",
+            "/etc/passwd",
+            "//host/x",
+            "http://host/x.bin",
+            "file:x",
+            "C:/x",
+            "a\\..\\..\\x",
+            "..",
+            ".",
+            "",
+            "a%00b",
+            "%zz",
+            "%F",
         ] {
             assert!(resolve(uri).is_err(), "{uri} was taken");
         }

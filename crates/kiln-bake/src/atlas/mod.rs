@@ -36,7 +36,7 @@ mod uvunwrap;
 mod planar;
 pub mod xatlas;
 mod orient;
-mod wedges;
+pub(crate) mod wedges;
 pub mod check;
 #[cfg(test)]
 mod tests;

@@ -1,61 +1,15 @@
 //! Splits vertices where charts split: one wedge for each (vertex, UV) that some corner wants.
 
 use glam::Vec2;
-use kiln_asset::{Mesh, PointId};
+use kiln_asset::{FaceId, Mesh, RawMesh};
 
 use super::UnwrapOutput;
 use super::surface::Surface;
 
-/// `mesh` with `atlas_uv`. Triangles keep their order, points their ids; the wedges of a vertex follow one another in the
-/// order in which faces ask for them. A face without a chart gets a single UV for all three corners: that of the first of
-/// its points that has one, else that of the first charted face; it covers nothing.
+/// `mesh` with `atlas_uv`. Triangles keep their order, points their ids. A face without a chart gets a single UV for all
+/// three corners: that of the first of its points that has one, else that of the first charted face; it covers nothing.
 pub(super) fn split(mesh: &Mesh, surface: &Surface, charts: &UnwrapOutput, size: u32) -> Mesh {
-    let corner_uvs = corner_uvs(mesh, surface, charts, size);
-    // Wedges of each vertex: a chain through `wedges`.
-    const END: u32 = u32::MAX;
-    let mut first = vec![END; mesh.vertex_count()];
-    let mut wedges: Vec<(Vec2, u32)> = Vec::with_capacity(mesh.vertex_count());
-    let mut corner_wedge = Vec::with_capacity(3 * mesh.face_count());
-    for (triangle, uvs) in mesh.triangles.iter().zip(&corner_uvs) {
-        for (v, uv) in triangle.iter().zip(uvs) {
-            let mut link = first[*v as usize];
-            let mut last = END;
-            while link != END && wedges[link as usize].0 != *uv {
-                last = link;
-                link = wedges[link as usize].1;
-            }
-            if link == END {
-                link = wedges.len() as u32;
-                wedges.push((*uv, END));
-                match last {
-                    END => first[*v as usize] = link,
-                    last => wedges[last as usize].1 = link,
-                }
-            }
-            corner_wedge.push(link);
-        }
-    }
-    // Numbered vertex by vertex; a vertex that no face uses stays, at UV zero, for its point may have no other.
-    let mut number = vec![END; wedges.len()];
-    let mut keep = Vec::with_capacity(wedges.len());
-    let mut atlas_uv = Vec::with_capacity(wedges.len());
-    for (v, first) in first.iter().enumerate() {
-        let mut link = *first;
-        if link == END {
-            keep.push(v as u32);
-            atlas_uv.push(Vec2::ZERO);
-        }
-        while link != END {
-            let (uv, next) = wedges[link as usize];
-            number[link as usize] = keep.len() as u32;
-            keep.push(v as u32);
-            atlas_uv.push(uv);
-            link = next;
-        }
-    }
-    let triangles = corner_wedge.chunks_exact(3).map(|c| [c[0], c[1], c[2]].map(|w| number[w as usize])).collect();
-    let mut raw = mesh.gather(&keep, triangles, mesh.face_submesh.clone());
-    raw.points = keep.iter().map(|v| mesh.points[*v as usize]).collect::<Vec<PointId>>();
+    let (mut raw, atlas_uv) = split_wedges(mesh, &corner_uvs(mesh, surface, charts, size), Vec2::ZERO);
     raw.atlas_uv = Some(atlas_uv);
     Mesh::new(raw).expect("invariant: wedges copied from a valid mesh, UVs finite by `orient`, every point kept")
 }
@@ -73,8 +27,57 @@ fn corner_uvs(mesh: &Mesh, surface: &Surface, charts: &UnwrapOutput, size: u32) 
     }
     let anywhere = corner_uvs.iter().flatten().next().map_or(Vec2::ZERO, |uvs| uvs[0]);
     let degenerate = |f: usize| {
-        let points = mesh.face_points(kiln_asset::FaceId(f as u32));
+        let points = mesh.face_points(FaceId(f as u32));
         [points.iter().find_map(|p| point_uv[p.index()]).unwrap_or(anywhere); 3]
     };
     corner_uvs.iter().enumerate().map(|(f, uvs)| uvs.unwrap_or_else(|| degenerate(f))).collect()
+}
+
+/// `mesh` with one wedge for each (vertex, value) among `corners` (`[face_count] x 3`), and the value of each new vertex.
+/// The wedges of a vertex follow one another in the order in which faces ask for them; all attributes are copied; points
+/// keep their ids; a vertex that no face uses stays, with the value `unused`, for its point may have no other.
+pub(crate) fn split_wedges<T: Copy + PartialEq>(mesh: &Mesh, corners: &[[T; 3]], unused: T) -> (RawMesh, Vec<T>) {
+    const END: u32 = u32::MAX;
+    // The wedges of each vertex: a chain of (value, next).
+    let mut first = vec![END; mesh.vertex_count()];
+    let mut wedges: Vec<(T, u32)> = Vec::with_capacity(mesh.vertex_count());
+    let mut corner_wedge = Vec::with_capacity(3 * mesh.face_count());
+    for (triangle, values) in mesh.triangles.iter().zip(corners) {
+        for (v, value) in triangle.iter().zip(values) {
+            let (mut link, mut last) = (first[*v as usize], END);
+            while link != END && wedges[link as usize].0 != *value {
+                (last, link) = (link, wedges[link as usize].1);
+            }
+            if link == END {
+                link = wedges.len() as u32;
+                wedges.push((*value, END));
+                match last {
+                    END => first[*v as usize] = link,
+                    last => wedges[last as usize].1 = link,
+                }
+            }
+            corner_wedge.push(link);
+        }
+    }
+    let mut number = vec![END; wedges.len()];
+    let mut keep = Vec::with_capacity(wedges.len());
+    let mut values = Vec::with_capacity(wedges.len());
+    for (v, first) in first.iter().enumerate() {
+        let mut link = *first;
+        if link == END {
+            keep.push(v as u32);
+            values.push(unused);
+        }
+        while link != END {
+            let (value, next) = wedges[link as usize];
+            number[link as usize] = keep.len() as u32;
+            keep.push(v as u32);
+            values.push(value);
+            link = next;
+        }
+    }
+    let triangles = corner_wedge.chunks_exact(3).map(|c| [c[0], c[1], c[2]].map(|w| number[w as usize])).collect();
+    let mut raw = mesh.gather(&keep, triangles, mesh.face_submesh.clone());
+    raw.points = keep.iter().map(|v| mesh.points[*v as usize]).collect();
+    (raw, values)
 }

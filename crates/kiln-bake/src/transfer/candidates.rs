@@ -45,6 +45,11 @@ impl<'a> Search<'a> {
         Search { high, low, bvh: Bvh::new(&high.positions, &high.triangles), cage, back_faces, same }
     }
 
+    /// The high mesh.
+    pub(crate) fn high(&self) -> &'a Mesh {
+        self.high
+    }
+
     /// The candidates of low face `face`, ascending by high face. `faces` is scratch space.
     pub(crate) fn gather(&self, face: usize, low: &LowFace, faces: &mut Vec<u32>, out: &mut Vec<Candidate>) {
         out.clear();

@@ -10,7 +10,7 @@ use super::{Session, lock};
 use crate::context::Context;
 use crate::error::ActionError;
 use crate::hash::{ContentHash, Fingerprint};
-use crate::manifest::{Manifest, Origin};
+use crate::manifest::Manifest;
 use crate::plan::Outputs;
 use crate::reason::StaleReason;
 use crate::report::{ActionState, Event, OutputRecord, Record};
@@ -47,12 +47,8 @@ impl Session<'_> {
             self.end(resolved.declared);
             match result {
                 Err(ActionError::InputChanged { .. }) if attempt < ATTEMPTS => {
+                    // What was read is what the next attempt takes for the file's content.
                     attempt += 1;
-                    for input in &resolved.manifest.inputs {
-                        if let Origin::File { path } = &input.origin {
-                            self.files.forget(path);
-                        }
-                    }
                 }
                 Err(error) => return Err(error),
                 Ok(seconds) => return Ok(Some((resolved.reason, seconds))),
@@ -90,7 +86,8 @@ impl Session<'_> {
         reason: &StaleReason,
         again: bool,
     ) -> Result<f64, ActionError> {
-        self.observer.event(&Event::Started { action, reason });
+        let label = &self.plan.actions[action].label;
+        self.observer.event(&Event::Started { action, label, reason });
         let context = Context::new(self, action, manifest);
         let start = Instant::now();
         let result = catch_unwind(AssertUnwindSafe(|| (self.plan.actions[action].run)(&context)));
@@ -153,7 +150,10 @@ impl Session<'_> {
             Some(first) if first.outputs == record.outputs => Ok(first),
             Some(first) if !again => {
                 // The first writer wins, so that all builds on this cache go on from the same bytes.
-                self.warn(action, "gave other bytes than an earlier run with the same inputs; the earlier ones are used");
+                self.warn(
+                    action,
+                    "gave other bytes than an earlier run with the same inputs; the earlier ones are used",
+                );
                 lock(&self.slots[action]).live.clear();
                 Ok(first)
             }

@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, HashSet};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
-use crate::engine::{BuildOptions, Sync};
+use crate::engine::{BuildOptions, Durability};
 use crate::files::{Files, Seen};
 use crate::hash::Fingerprint;
 use crate::manifest::Manifest;
@@ -40,6 +40,15 @@ struct Slot {
 #[derive(Default)]
 struct TargetSlot {
     state: Option<TargetState>,
+}
+
+/// What came of a build.
+pub(crate) struct Built {
+    pub(crate) report: BuildReport,
+    /// Files looked at, sorted by path.
+    pub(crate) seen: Vec<(String, Seen)>,
+    /// Each done action's index, manifest and record.
+    pub(crate) lasts: Vec<(usize, Last)>,
 }
 
 pub(crate) struct Session<'a> {
@@ -100,8 +109,8 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Builds; gives the report, the files seen, and each action's manifest and record.
-    pub(crate) fn run(self) -> (BuildReport, Vec<(String, Seen)>, Vec<(usize, Last)>) {
+    /// Builds, or says what would be built.
+    pub(crate) fn run(self) -> Built {
         if self.options.dry_run {
             self.judge_all();
         } else {
@@ -140,7 +149,7 @@ impl<'a> Session<'a> {
         }
         let warnings = self.warnings.into_inner().unwrap_or_else(PoisonError::into_inner);
         let report = BuildReport { actions, targets, warnings, files_hashed, cancelled, seconds: 0.0 };
-        (report, self.files.into_seen(), lasts)
+        Built { report, seen: self.files.into_seen(), lasts }
     }
 
     pub(crate) fn is_cancelled(&self) -> bool {
@@ -158,7 +167,7 @@ impl<'a> Session<'a> {
     }
 
     fn sync_cache(&self) -> bool {
-        self.options.sync == Sync::Always
+        self.options.durability == Durability::Always
     }
 
     /// Ends an action, in whatever way.

@@ -49,7 +49,12 @@ impl Session<'_> {
             }
             let manifest = declared.with_discovered(&self.contents(folder, &list)?);
             if let Some(record) = self.known(action, manifest.fingerprint()) {
-                return Ok(Resolved { manifest, declared: fingerprint, hit: Some(record), reason: StaleReason::NoRecord });
+                return Ok(Resolved {
+                    manifest,
+                    declared: fingerprint,
+                    hit: Some(record),
+                    reason: StaleReason::NoRecord,
+                });
             }
             now.get_or_insert(manifest);
             tried.push(list);
@@ -125,9 +130,8 @@ impl Session<'_> {
 
     /// Why an action that cannot even be resolved is stale: a declared file is gone.
     pub(super) fn missing_file(&self, action: usize) -> Option<StaleReason> {
-        let gone = |path: &str| {
-            std::fs::metadata(self.plan.root.join(path)).is_err_and(|error| disk::is_absent(&error))
-        };
+        let gone =
+            |path: &str| std::fs::metadata(self.plan.root.join(path)).is_err_and(|error| disk::is_absent(&error));
         self.plan.actions[action].inputs.iter().find_map(|input| match &input.source {
             Source::File { path } if gone(path) => Some(StaleReason::InputFileMissing { path: path.clone() }),
             _ => None,

@@ -1,11 +1,11 @@
 //! Output files: written only if they differ, beside and renamed, one lock per output.
 
-use std::fs::{self, OpenOptions};
-use std::path::Path;
+use std::fs;
+use std::path::{Path, PathBuf};
 
 use super::{Session, lock};
 use crate::disk::{self, is_absent};
-use crate::engine::Sync;
+use crate::engine::Durability;
 use crate::error::{ActionError, IoError};
 use crate::reason::StaleReason;
 use crate::report::{Event, OutputRecord, TargetError, TargetState};
@@ -21,7 +21,10 @@ impl Session<'_> {
     fn delivered(&self, target: usize) -> Result<TargetState, TargetError> {
         let wanted = &self.plan.targets[target];
         let Some(output) = self.wanted_output(target)? else { return Ok(TargetState::Skipped) };
-        let Some(reason) = self.target_reason(target, &output)? else { return Ok(TargetState::Unchanged) };
+        let Some(reason) = self.target_reason(target, &output)? else {
+            self.clear_litter(&wanted.path)?;
+            return Ok(TargetState::Unchanged);
+        };
         let bytes = self.blob(wanted.action, &wanted.output)?;
         self.write_target(&wanted.path, &bytes)?;
         self.files.wrote(&wanted.path, output.hash);
@@ -61,21 +64,30 @@ impl Session<'_> {
 
     fn write_target(&self, path: &str, bytes: &[u8]) -> Result<(), IoError> {
         let full = self.plan.root.join(path);
-        let folder = full.parent().unwrap_or(Path::new(""));
-        disk::create_folder(folder)?;
-        let name = full.file_name().unwrap_or_default().to_string_lossy();
-        // One name for all processes, so that what a killed one left is overwritten by the next.
-        let temporary = folder.join(format!(".{name}.kiln-tmp"));
-        let lock_path = self.store.lock_path(path);
-        let lock = OpenOptions::new().write(true).create(true).truncate(false).open(&lock_path);
-        let lock = lock.map_err(IoError::new("open", &lock_path))?;
-        lock.lock().map_err(IoError::new("lock", &lock_path))?;
-        let written = disk::write(&temporary, &[bytes], self.options.sync != Sync::Never)
-            .map(drop)
-            .and_then(|()| disk::rename(&temporary, &full));
+        disk::create_folder(full.parent().unwrap_or(Path::new("")))?;
+        let temporary = temporary(&full);
+        let _lock = self.store.lock(path)?;
+        let sync = self.options.durability != Durability::Never;
+        let written = disk::write(&temporary, &[bytes], sync).and_then(|()| disk::rename(&temporary, &full));
         if written.is_err() {
             let _ = disk::remove(&temporary);
         }
         written
     }
+
+    /// Removes what a killed build left beside an output that needs no writing.
+    fn clear_litter(&self, path: &str) -> Result<(), IoError> {
+        let temporary = temporary(&self.plan.root.join(path));
+        if temporary.exists() {
+            let _lock = self.store.lock(path)?;
+            disk::remove(&temporary)?;
+        }
+        Ok(())
+    }
+}
+
+/// The file beside `output` that becomes it; one name for all processes, so that what a killed one left is overwritten.
+fn temporary(output: &Path) -> PathBuf {
+    let name = output.file_name().unwrap_or_default().to_string_lossy();
+    output.with_file_name(format!(".{name}.kiln-tmp"))
 }

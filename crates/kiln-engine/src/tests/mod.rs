@@ -7,6 +7,8 @@
 //! `import` reads the files that lines `use NAME` name; `strip` drops lines that begin with `#`; `shout` writes capitals
 //! `factor` times; `pack` puts all together.
 
+#![allow(clippy::unwrap_used, reason = "tests")]
+
 mod crash;
 mod damage;
 mod noop;
@@ -70,7 +72,7 @@ impl Toy {
             folder: tempfile::tempdir().expect("a temporary folder"),
             recipe: Recipe::default(),
             ran: Arc::default(),
-            options: BuildOptions { jobs: 2, sync: Sync::Never, ..BuildOptions::default() },
+            options: BuildOptions { jobs: 2, durability: Durability::Never, ..BuildOptions::default() },
         };
         write_project(toy.folder.path());
         toy

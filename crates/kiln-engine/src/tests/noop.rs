@@ -16,7 +16,8 @@ fn build(toy: &Toy) -> Result<Vec<u8>, bool> {
     }
     let plan = toy.plan();
     let report = engine.build(&plan, &toy.options, &NoObserver).unwrap();
-    let noop = Noop { key: key(), files: vec!["toy.toml".into()], folders: vec!["models".into()], note: b"all fresh".into() };
+    let noop =
+        Noop { key: key(), files: vec!["toy.toml".into()], folders: vec!["models".into()], note: b"all fresh".into() };
     Err(engine.remember_noop(&plan, &report, &noop).unwrap())
 }
 
@@ -38,7 +39,10 @@ fn an_untouched_project_is_found_fresh_by_stats_alone() {
     let before = files_under(toy.root());
     assert!(build(&toy).is_ok());
     assert_eq!(files_under(toy.root()), before);
-    assert!(toy.engine().fast_noop_check(toy.root(), &ContentHash::of(b"kiln 2")).is_none(), "another key, another plan");
+    assert!(
+        toy.engine().fast_noop_check(toy.root(), &ContentHash::of(b"kiln 2")).is_none(),
+        "another key, another plan"
+    );
 }
 
 #[test]

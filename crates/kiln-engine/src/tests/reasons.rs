@@ -2,6 +2,8 @@
 
 use std::fs;
 
+use proptest::prelude::*;
+
 use super::*;
 
 /// Expects that `why` and then the build give this reason for `action`, and that its JSON and text are these.
@@ -211,4 +213,39 @@ fn a_lost_blob_that_is_needed() {
     assert!(blob.exists());
     assert_eq!(serde_json::to_string(&expected).unwrap(), r#"{"reason":"blob-lost","what":"text"}"#);
     assert_eq!(expected.to_string(), "cache entry lost: text");
+}
+
+/// Manifests over so few names and values that equal ones, and ones that differ in one field, are common.
+fn manifests() -> impl Strategy<Value = Manifest> {
+    let topic = prop_oneof![Just(Topic::Version), Just(Topic::Parameter)];
+    let value = prop_oneof![
+        Just(crate::Value::from("1")),
+        Just(crate::Value::from(1u32)),
+        Just(crate::Value::from(1f64)),
+        Just(crate::Value::from(1f32)),
+        Just(crate::Value::from(true)),
+    ];
+    let head = prop::collection::btree_map((topic, "[ab]{0,2}"), value, 0..3);
+    let hash = prop_oneof![Just(None), Just(Some(ContentHash::of(b"x"))), Just(Some(ContentHash::of(b"y")))];
+    let inputs = prop::collection::btree_map("[ab]{1,2}", (any::<bool>(), hash), 0..3);
+    (head, inputs).prop_map(|(head, inputs)| {
+        let head = head.into_iter().map(|((topic, name), value)| Field { topic, name, value }).collect();
+        let input = |(name, (found, hash)): (String, (bool, Option<ContentHash>))| {
+            let path = name.clone();
+            let origin = if found { Origin::Discovered { path } } else { Origin::File { path } };
+            InputField { name, hash, origin }
+        };
+        Manifest::new(head, inputs.into_iter().map(input).collect())
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 1000, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn two_manifests_have_one_fingerprint_exactly_if_no_field_differs(a in manifests(), b in manifests()) {
+        prop_assert_eq!(a.fingerprint() == b.fingerprint(), a.first_difference(&b).is_none());
+        prop_assert_eq!(a.first_difference(&b).is_none(), b.first_difference(&a).is_none());
+        prop_assert!(a.first_difference(&a.clone()).is_none());
+    }
 }

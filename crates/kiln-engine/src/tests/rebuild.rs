@@ -20,11 +20,13 @@ fn a_first_build_runs_everything_and_writes_the_target() {
 fn a_second_build_runs_nothing_writes_nothing_and_still_shows_the_reports() {
     let toy = Toy::new();
     toy.build_running(&["import", "strip", "shout", "pack"]);
-    let before: Vec<_> = files_under(toy.root()).iter().map(|path| fs::metadata(path).unwrap().modified().unwrap()).collect();
+    let before: Vec<_> =
+        files_under(toy.root()).iter().map(|path| fs::metadata(path).unwrap().modified().unwrap()).collect();
     let report = toy.build_running(&[]);
     assert!(report.nothing_to_do());
     assert_eq!(report.actions[IMPORT].record.as_ref().unwrap().report, br#"{"lines":4}"#);
-    let after: Vec<_> = files_under(toy.root()).iter().map(|path| fs::metadata(path).unwrap().modified().unwrap()).collect();
+    let after: Vec<_> =
+        files_under(toy.root()).iter().map(|path| fs::metadata(path).unwrap().modified().unwrap()).collect();
     assert_eq!(before, after);
 }
 
@@ -144,7 +146,9 @@ fn a_failed_action_leaves_nothing_and_the_old_output_stays() {
     toy.recipe.broken = true;
     let (report, ran) = toy.build();
     assert_eq!(ran, ["shout"]);
-    assert!(matches!(&report.actions[SHOUT].state, ActionState::Failed(error) if error.to_string() == "the voice broke"));
+    assert!(
+        matches!(&report.actions[SHOUT].state, ActionState::Failed(error) if error.to_string() == "the voice broke")
+    );
     assert!(matches!(report.actions[PACK].state, ActionState::Skipped { .. }));
     assert!(matches!(report.targets[0].state, TargetState::Skipped));
     assert!(!report.succeeded());
@@ -161,7 +165,11 @@ fn two_assets(root: &Path) -> Plan {
     let after = Action::new("a2", "toy", 1, |_: &Context<'_>| Ok(Outputs::new())).input("x", Source::output(0, "x"));
     let good = Action::new("b", "toy", 1, |_: &Context<'_>| Ok(Outputs::new().with("x", b"good".to_vec())));
     let target = |path: &str, action| Target { path: path.into(), action, output: "x".into() };
-    Plan { root: root.to_owned(), actions: vec![fail, after, good], targets: vec![target("a.out", 0), target("b.out", 2)] }
+    Plan {
+        root: root.to_owned(),
+        actions: vec![fail, after, good],
+        targets: vec![target("a.out", 0), target("b.out", 2)],
+    }
 }
 
 #[test]
@@ -258,7 +266,11 @@ fn an_action_may_not_read_outside_its_folder_nor_without_one() {
     };
     let mut inside = Action::new("inside", "toy", 1, read.clone());
     inside.discovers = Some("models".into());
-    let plan = Plan { root: toy.root().to_owned(), actions: vec![inside, Action::new("none", "toy", 1, read)], targets: vec![] };
+    let plan = Plan {
+        root: toy.root().to_owned(),
+        actions: vec![inside, Action::new("none", "toy", 1, read)],
+        targets: vec![],
+    };
     let options = BuildOptions { jobs: 1, ..toy.options.clone() };
     toy.engine().build(&plan, &options, &NoObserver).unwrap();
     let expected = [[std::io::ErrorKind::InvalidInput; 5], [std::io::ErrorKind::PermissionDenied; 5]].concat();
@@ -372,7 +384,7 @@ fn events_tell_the_course_of_a_build() {
         fn event(&self, event: &Event<'_>) {
             let line = match event {
                 Event::Planned { actions, targets } => format!("planned {actions} {targets}"),
-                Event::Started { action, reason } => format!("started {action} ({reason})"),
+                Event::Started { action, reason, .. } => format!("started {action} ({reason})"),
                 Event::Progress { action, fraction, label } => format!("progress {action} {fraction} {label}"),
                 Event::Finished { action, bytes, .. } => format!("finished {action} {bytes}"),
                 Event::TargetFinished { target, .. } => format!("target {target}"),
@@ -392,7 +404,13 @@ fn events_tell_the_course_of_a_build() {
     let log = Log(Mutex::default());
     let report = toy.engine().build(&plan, &toy.options, &log).unwrap();
     assert_eq!(report.actions[0].warnings, ["small"]);
-    let expected =
-        ["planned 1 1", "started 0 (first build)", "progress 0 0.5 half", "warning Some(0) small", "finished 0 4", "target 0"];
+    let expected = [
+        "planned 1 1",
+        "started 0 (first build)",
+        "progress 0 0.5 half",
+        "warning Some(0) small",
+        "finished 0 4",
+        "target 0",
+    ];
     assert_eq!(*log.0.lock().unwrap(), expected);
 }

@@ -5,7 +5,7 @@
 //! model: flat regions cost 0 and not noise.
 
 use glam::DVec3;
-use kiln_asset::{Mesh, QuadricCoefficients};
+use kiln_asset::QuadricCoefficients;
 
 use crate::topology::{EdgeKind, Topology, is_degenerate};
 
@@ -106,7 +106,6 @@ pub(crate) struct LineWeights {
 /// `carried` (object space, empty or `[point_count]`) replaces the planes: it holds those of the finer faces that stood
 /// here, and the borders and boundaries too, so only seams are added, which an atlas may have made since.
 pub(crate) fn initial(
-    mesh: &Mesh,
     topology: &Topology,
     positions: &[DVec3],
     carried: &[QuadricCoefficients],

@@ -152,7 +152,13 @@ impl Walk<'_> {
             }
             None => {
                 let help = suggest("earlier stages", from, &self.earlier(index, |_| true));
-                self.report.add(Code::ChainFrom, origin, format!("no stage has the id `{from}`"), "no such stage", help);
+                self.report.add(
+                    Code::ChainFrom,
+                    origin,
+                    format!("no stage has the id `{from}`"),
+                    "no such stage",
+                    help,
+                );
                 None
             }
         }
@@ -214,7 +220,10 @@ impl Walk<'_> {
     }
 
     fn refuse(&mut self, index: usize, code: Code, message: String, label: &str, help: &str) -> Flow {
-        let origin = self.drafts[index].origin("kind").clone();
+        let draft = &self.drafts[index];
+        // Where the input was chosen by hand, the choice is what to look at.
+        let by_input = matches!(code, Code::ChainInput | Code::ChainLevels | Code::ChainOrder | Code::ChainBakeUnlaid);
+        let origin = draft.origin(if by_input && draft.from.is_some() { "from" } else { "kind" }).clone();
         self.report.add(code, &origin, message, label, Some(help.to_owned()));
         Flow::UNKNOWN
     }
@@ -329,8 +338,7 @@ impl Walk<'_> {
             let finer = levels[..at].iter().rev().find_map(|earlier| coarser(*earlier, *level).map(|c| (*earlier, c)));
             if let Some((earlier, is_coarser)) = finer {
                 if !is_coarser {
-                    let message =
-                        format!("levels get coarser: {} does not come after {}", said(*level), said(earlier));
+                    let message = format!("levels get coarser: {} does not come after {}", said(*level), said(earlier));
                     let help = Some(String::from("finest first, each with fewer triangles or a greater error"));
                     self.report.add(Code::LevelOrder, origin, message, "not coarser", help);
                 }
@@ -338,13 +346,13 @@ impl Walk<'_> {
             }
             let Some(left) = incoming.budget else { continue };
             if coarser(left, *level) == Some(false) && left != *level {
-                let message = format!("{} asks for more than the {} that comes in", said(*level), said(left));
+                let message = format!("{} is finer than the {} that comes in", said(*level), said(left));
                 let help = match level {
                     LevelBudget::Keep(_) => "`keep` is the share of the SOURCE asset's triangles, in every stage",
                     LevelBudget::Triangles(_) => "a level cannot have more triangles than the mesh that it is cut from",
                     LevelBudget::Error(_) => "`error` is measured against the SOURCE asset, in every stage",
                 };
-                self.report.add(Code::LevelAbove, origin, message, "more than is left", Some(help.to_owned()));
+                self.report.add(Code::LevelAbove, origin, message, "finer than what is left", Some(help.to_owned()));
             }
         }
     }
@@ -395,9 +403,9 @@ impl Walk<'_> {
                 }
             }
         }
-        for index in 0..self.drafts.len() {
+        for (index, baked) in baked.into_iter().enumerate() {
             let kind = self.drafts[index].kind();
-            if kind == Some(Kind::Atlas) && !baked[index] {
+            if kind == Some(Kind::Atlas) && !baked {
                 let message = String::from("the atlas has no bake after it");
                 let help = "add a bake stage, or leave the atlas out to keep the model's own UVs and textures";
                 self.refuse(index, Code::ChainAtlasUnbaked, message, "never baked", help);

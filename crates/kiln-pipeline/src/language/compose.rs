@@ -6,7 +6,7 @@ use super::diagnostic::{Code, Origin, Report, nearest, suggest};
 use super::dom::{self, Data, Entry, Node, Table};
 use super::options::{AssetOptions, FileOptions, Kind, OverrideOptions, StageOptions};
 use super::pipeline::Override;
-use super::setting::{FromTable, Key, Options, Shape, Standard, check_keys, mistyped};
+use super::setting::{Elsewhere, FromTable, Key, Options, Shape, Standard, check_keys, mistyped};
 
 /// The language that this kiln reads.
 pub const LANGUAGE: u32 = 1;
@@ -148,7 +148,7 @@ fn top_keys(source: usize, table: &Table, report: &mut Report) {
     }
 }
 
-fn stage_or_asset_key(name: &str) -> Option<(Code, String, String)> {
+fn stage_or_asset_key(name: &str) -> Option<Elsewhere> {
     let message = format!("unknown key `{name}` at the top of the file");
     if AssetOptions::keys().iter().any(|key| key.name == name) {
         return Some((Code::KeyUnknown, message, format!("`{name}` belongs below [asset]")));
@@ -181,6 +181,7 @@ fn default_ids(table: &mut Table, report: &mut Report) {
         .filter_map(|node| node.table().and_then(|stage| stage.text("kind")).map(str::to_owned))
         .collect();
     let mut seen: Vec<(String, Origin)> = Vec::new();
+    let mut unnamed = 0;
     for node in stages_mut(table) {
         let header = node.origin.clone();
         let Some(stage) = node.table_mut() else { continue };
@@ -190,7 +191,8 @@ fn default_ids(table: &mut Table, report: &mut Report) {
             let Data::Text(text) = &kind.data else { continue };
             if kinds.iter().filter(|other| *other == text).count() > 1 {
                 let message = format!("several stages have the kind `{text}`, so each needs an id of its own");
-                let help = Some(format!("for example id = \"{text}-{}\"", seen.len() + 1));
+                unnamed += 1;
+                let help = Some(format!("for example id = \"{text}-{unnamed}\""));
                 report.add(Code::StageIdMissing, &header, message, "`id` is missing", help);
                 continue;
             }
@@ -394,11 +396,15 @@ pub(crate) fn settings(document: &mut Table, arguments: &[String], report: &mut 
         let target = match parts[..] {
             ["asset", field] => match AssetOptions::keys().into_iter().find(|known| known.name == field) {
                 Some(known) => Ok(known.shape),
-                None => Err(NoKey(format!("unknown key `{name}`"), suggest("valid keys", field, &["input", "output"]))),
+                None => Err(NoKey(
+                    format!("unknown key `{name}`"),
+                    suggest("valid keys", name, &["asset.input", "asset.output"]),
+                )),
             },
             ["stage", id, field] => stage_key(document, id, field),
             _ => {
-                let known = nearest(parts[0], ["asset", "stage"]).map_or(String::new(), |n| format!("; `{n}.` is near"));
+                let known =
+                    nearest(parts[0], ["asset", "stage"]).map_or(String::new(), |n| format!("; `{n}.` is near"));
                 let help = format!("settable are asset.input, asset.output and stage.ID.KEY{known}");
                 Err(NoKey(format!("unknown key `{name}`"), Some(help)))
             }
@@ -456,15 +462,16 @@ pub(crate) fn overrides(document: &Table, report: &mut Report) -> Vec<Override> 
         let Some(node) = table.get("match").filter(|node| matches!(node.data, Data::Text(_))) else { continue };
         match glob::Pattern::new(&options.pattern) {
             Ok(pattern) => read.push(Override { pattern, origin: node.origin.clone(), set }),
-            Err(error) => glob_error(node, &error, report),
+            Err(error) => glob_error(node, &options.pattern, &error, report),
         }
     }
     read
 }
 
-pub(crate) fn glob_error(node: &Node, error: &glob::PatternError, report: &mut Report) {
-    let message = format!("the glob is malformed at character {}: {}", error.pos + 1, error.msg);
-    let help = Some(String::from("`*` and `?` match within a name, `**` whole folders, `[ab]` one of several characters"));
+pub(crate) fn glob_error(node: &Node, glob: &str, error: &glob::PatternError, report: &mut Report) {
+    let message = format!("`{glob}` is malformed at character {}: {}", error.pos + 1, error.msg);
+    let help =
+        Some(String::from("`*` and `?` match within a name, `**` whole folders, `[ab]` one of several characters"));
     report.add(Code::GlobSyntax, &node.origin, message, "malformed", help);
 }
 

@@ -235,12 +235,12 @@ impl Report {
         self.found.push(Diagnostic {
             severity,
             code,
-            message: message.into(),
+            message: one_line(message.into()),
             file: source.map_or_else(String::new, |source| source.name.clone()),
             source: origin.source,
             span: origin.span.clone(),
-            label: label.into(),
-            help: help.into(),
+            label: one_line(label.into()),
+            help: help.into().map(one_line),
             usage: code.family() == Family::Usage || (command_line && code.family() == Family::Invalid),
         });
     }
@@ -273,12 +273,25 @@ impl Report {
     /// All defects, each once, sorted by text and position.
     pub(crate) fn finish(mut self) -> Vec<Diagnostic> {
         self.found.sort_by(|a, b| {
-            (a.source, a.span.start, a.span.end, a.code, &a.message)
-                .cmp(&(b.source, b.span.start, b.span.end, b.code, &b.message))
+            (a.source, a.span.start, a.span.end, a.code, &a.message).cmp(&(
+                b.source,
+                b.span.start,
+                b.span.end,
+                b.code,
+                &b.message,
+            ))
         });
         self.found.dedup();
         self.found
     }
+}
+
+/// Names from the file are quoted in messages: whatever they hold, a message stays one line.
+fn one_line(text: String) -> String {
+    if !text.contains(char::is_control) {
+        return text;
+    }
+    text.chars().map(|c| if c.is_control() { c.escape_default().to_string() } else { c.to_string() }).collect()
 }
 
 /// Line and column, both from 1, of a byte offset; columns count characters.
@@ -350,7 +363,7 @@ pub(crate) fn nearest<'c>(name: &str, candidates: impl IntoIterator<Item = &'c s
 }
 
 /// "did you mean `x`?" or the list of what would be valid.
-pub(crate) fn suggest<'c>(what: &str, name: &str, candidates: &[&'c str]) -> Option<String> {
+pub(crate) fn suggest(what: &str, name: &str, candidates: &[&str]) -> Option<String> {
     match nearest(name, candidates.iter().copied()) {
         Some(near) => Some(format!("did you mean `{near}`?")),
         None if candidates.is_empty() => None,

@@ -74,7 +74,7 @@ impl Node {
         match self.data {
             Data::Text(_) => "a string",
             Data::Integer(_) => "a whole number",
-            Data::Float(_) => "a number",
+            Data::Float(_) => "a number with a point",
             Data::Boolean(_) => "true or false",
             Data::Datetime => "a date",
             Data::List(_) => "a list",
@@ -135,11 +135,21 @@ impl Node {
 /// lies before it was read as it was meant.
 pub(crate) fn document(source: usize, text: &str, report: &mut Report) -> (Table, Option<usize>) {
     let (table, errors) = DeTable::parse_recoverable(text);
-    let mut first: Option<usize> = None;
+    let place = |error: &toml::de::Error| error.span().unwrap_or(text.len()..text.len());
+    let first = errors.iter().map(|error| place(error).start).min();
+    let repeats = |error: &toml::de::Error| error.message() == "duplicate key";
+    let broken = errors.iter().filter(|error| !repeats(error)).map(|error| place(error).start).min();
     for error in &errors {
-        let span = error.span().unwrap_or(text.len()..text.len());
-        first = Some(first.map_or(span.start, |least| least.min(span.start)));
-        report.add(Code::Syntax, &Origin::new(source, span), sentence(error.message()), "", None);
+        let span = place(error);
+        let message = sentence(error.message());
+        // After a broken header its keys land in the table before: their repetition is no defect of its own.
+        if repeats(error) && broken.is_some_and(|broken| broken < span.start) {
+            continue;
+        }
+        let help = message
+            .starts_with("string values must be quoted")
+            .then(|| String::from("strings stand in quotes, lengths too: \"0.1 mm\""));
+        report.add(Code::Syntax, &Origin::new(source, span), message, "", help);
     }
     (convert_table(source, table.get_ref()), first)
 }

@@ -78,9 +78,12 @@ pub fn expand_inputs(pipeline: &Pipeline, list: &dyn Fn(&str) -> io::Result<Vec<
     if matched.is_empty() && search.failed.is_empty() {
         let last = parts.last().copied().unwrap_or_default();
         let names: Vec<String> = search.names_in(&root);
-        let is_file = !parts.iter().any(|part| is_glob(&part));
-        let message =
-            if is_file { format!("there is no model {}", input.text) } else { String::from("no model matches the glob") };
+        let is_file = !parts.iter().any(is_glob);
+        let message = if is_file {
+            format!("there is no model {}", input.text)
+        } else {
+            String::from("no model matches the glob")
+        };
         let help = match nearest(last, names.iter().map(String::as_str)).filter(|_| is_file) {
             Some(near) => format!("did you mean `{near}`?"),
             None => format!("searched below {}", shown(&root)),
@@ -125,7 +128,8 @@ fn join(folder: &str, name: &str) -> String {
 }
 
 fn named(input: String, root: &str, pipeline: &Pipeline) -> AssetBuild {
-    let relative = if root.is_empty() { input.as_str() } else { input[root.len()..].trim_start_matches('/') }.to_owned();
+    let relative =
+        if root.is_empty() { input.as_str() } else { input[root.len()..].trim_start_matches('/') }.to_owned();
     let start = relative.rfind('/').map_or(0, |at| at + 1);
     // A leading dot is part of the name and no extension.
     let end = relative[start..].rfind('.').filter(|at| *at > 0).map_or(relative.len(), |at| start + at);
@@ -170,7 +174,8 @@ fn clashes(pipeline: &Pipeline, builds: &[AssetBuild], report: &mut Report) {
         let more = if models.len() > 3 { format!(" and {} more", models.len() - 3) } else { String::new() };
         let others = match repeated.len() {
             1 => String::new(),
-            count => format!("; {} further outputs likewise", count - 1),
+            2 => String::from("; one more output likewise"),
+            count => format!("; {} more outputs likewise", count - 1),
         };
         let message = format!("{} would be written by {shown}{more}{others}", first[0].output);
         let help = if output.text.contains("{path}") {

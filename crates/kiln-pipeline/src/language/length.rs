@@ -127,6 +127,6 @@ impl Length {
 
 impl fmt::Display for Length {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} {}", super::value::number(self.value), self.unit.as_str())
+        write!(f, "{} {}", super::setting::plain(self.value), self.unit.as_str())
     }
 }

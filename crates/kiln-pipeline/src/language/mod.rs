@@ -117,18 +117,19 @@ fn check_overrides(document: &dom::Table, overrides: &[Override], report: &mut d
         let drafts = read::stages(&changed, &mut scratch);
         chain::check(drafts, &mut scratch);
         let place = report.place(&rule.origin);
-        let fresh = scratch.finish().into_iter().filter(|diagnostic| !known.contains(diagnostic)).map(|mut diagnostic| {
-            let within = |one: &compose::Assignment| {
-                let span = &one.entry.node.origin;
-                span.source == diagnostic.source
-                    && span.span.start <= diagnostic.span.start
-                    && diagnostic.span.end <= span.span.end
-            };
-            if !rule.set.iter().any(within) {
-                diagnostic.message = format!("{} (with the override at {place})", diagnostic.message);
-            }
-            diagnostic
-        });
+        let fresh =
+            scratch.finish().into_iter().filter(|diagnostic| !known.contains(diagnostic)).map(|mut diagnostic| {
+                let within = |one: &compose::Assignment| {
+                    let span = &one.entry.node.origin;
+                    span.source == diagnostic.source
+                        && span.span.start <= diagnostic.span.start
+                        && diagnostic.span.end <= span.span.end
+                };
+                if !rule.set.iter().any(within) {
+                    diagnostic.message = format!("{} (with the override at {place})", diagnostic.message);
+                }
+                diagnostic
+            });
         report.extend(fresh.collect::<Vec<_>>());
     }
 }

@@ -5,7 +5,9 @@
 use super::diagnostic::{Code, Report};
 use super::dom::{Data, Node};
 use super::length::Length;
-use super::setting::{Choice, Key, Options, Setting, Shape, check_keys, choices, choose, mistyped, options, read_within};
+use super::setting::{
+    Choice, Key, Options, Setting, Shape, check_keys, choices, choose, mistyped, options, read_within,
+};
 use super::value::Value;
 
 choices! {
@@ -393,7 +395,7 @@ impl Setting for LevelBudget {
             if value > 0.0 && value <= 1.0 {
                 return Some(LevelBudget::Keep(value));
             }
-            let help = if value > 1.0 && value <= 100.0 && keep.number().is_some() {
+            let help = if (2.0..=100.0).contains(&value) {
                 format!("`keep` is a share: {} percent is {}", value, value / 100.0)
             } else {
                 String::from("`keep` is the share of the source asset's triangles that stays; 1.0 keeps all")

@@ -9,7 +9,7 @@ use super::options::{
     read_kind,
 };
 use super::pipeline::{AssetPath, AssetPaths, RelativeTo, StageSettings};
-use super::setting::{FromTable, Key, Options, Standard, check_keys};
+use super::setting::{Elsewhere, FromTable, Key, Options, Standard, check_keys};
 
 /// A stage as far as it could be read.
 #[derive(Clone, Debug)]
@@ -77,7 +77,7 @@ fn glob_of(table: &Table, input: &AssetPath, report: &mut Report) {
     let Some(node) = table.get("input") else { return };
     for part in input.text.split('/') {
         if let Err(error) = glob::Pattern::new(part) {
-            super::compose::glob_error(node, &error, report);
+            super::compose::glob_error(node, part, &error, report);
             return;
         }
     }
@@ -110,7 +110,9 @@ fn template(output: &AssetPath, report: &mut Report) {
 /// Reads every `[[stage]]`.
 pub(crate) fn stages(document: &Table, report: &mut Report) -> Vec<Draft> {
     let items = document.get("stage").and_then(Node::list).unwrap_or_default();
-    if document.get("stage").is_none() || (items.is_empty() && document.get("stage").is_some_and(|n| n.list().is_some())) {
+    // `[[stages]]` has its own diagnostic.
+    let none = document.get("stage").is_none() && document.get("stages").is_none();
+    if none || (items.is_empty() && document.get("stage").is_some_and(|n| n.list().is_some())) {
         let origin = document.entry("stage").map_or_else(Origin::default, |entry| entry.key.clone());
         let help = Some(String::from("a common chain is merge, simplify, atlas, simplify, bake, pack"));
         report.add(Code::StageNone, &origin, "the pipeline has no stage", "no [[stage]]", help);
@@ -132,7 +134,8 @@ fn stage(table: &Table, header: &Origin, report: &mut Report) -> Draft {
     let id = table.text("id").map(str::to_owned);
     // The kind has been read, and one message is enough.
     let mut rest = table.clone();
-    rest.entries.retain(|entry| entry.name != "kind" && (entry.name != "id" || !matches!(entry.node.data, Data::Text(_))));
+    rest.entries
+        .retain(|entry| entry.name != "kind" && (entry.name != "id" || !matches!(entry.node.data, Data::Text(_))));
     let from = StageOptions::from_table(&rest, report).from.map(|from| from.0);
     let settings = kind.map(|kind| {
         let mut keys = common;
@@ -140,6 +143,9 @@ fn stage(table: &Table, header: &Origin, report: &mut Report) -> Draft {
         let article = if kind == Kind::Atlas { "an" } else { "a" };
         let place = format!("{article} {} stage", kind.as_str());
         keys.splice(0..0, kind.keys());
+        for key in keys.iter_mut().filter(|key| swallowed(table, key.name)) {
+            key.standard = Standard::Derived("");
+        }
         check_keys(table, &keys, &place, header, &|name| of_another_kind(name, kind, &keys), report);
         rules(table, &keys, report);
         match kind {
@@ -154,7 +160,7 @@ fn stage(table: &Table, header: &Origin, report: &mut Report) -> Draft {
 }
 
 /// What to say of a key that is unknown here and known in another kind of stage.
-fn of_another_kind(name: &str, kind: Kind, keys: &[Key]) -> Option<(Code, String, String)> {
+fn of_another_kind(name: &str, kind: Kind, keys: &[Key]) -> Option<Elsewhere> {
     if nearest(name, keys.iter().map(|key| key.name)).is_some() {
         return None;
     }
@@ -171,6 +177,12 @@ fn of_another_kind(name: &str, kind: Kind, keys: &[Key]) -> Option<(Code, String
     Some((Code::KeyUnknown, message, format!("valid keys: {}", names.join(", "))))
 }
 
+/// True if a submesh rule holds this key, which then is misplaced and not missing.
+fn swallowed(table: &Table, name: &str) -> bool {
+    let rules = table.get("submesh").and_then(Node::list).unwrap_or_default();
+    rules.iter().filter_map(Node::table).any(|rule| rule.get(name).is_some()) && !RULE_KEYS.contains(&name)
+}
+
 /// Explains keys of the stage that stand after a `[[stage.submesh]]` header.
 fn rules(table: &Table, keys: &[Key], report: &mut Report) {
     let Some(node) = table.get("submesh") else { return };
@@ -181,7 +193,8 @@ fn rules(table: &Table, keys: &[Key], report: &mut Report) {
         }
         if keys.iter().any(|key| key.name == entry.name) {
             let message = format!("`{}` lands in the rule, not in the stage", entry.name);
-            let help = "everything below a [[stage.submesh]] header belongs to that rule: move the key above the first one";
+            let help =
+                "everything below a [[stage.submesh]] header belongs to that rule: move the key above the first one";
             report.add(Code::KeyMisplaced, &entry.key, message, "a key of the stage", Some(help.to_owned()));
         } else {
             let message = format!("unknown key `{}` in a submesh rule", entry.name);

@@ -46,7 +46,9 @@ pub fn reference() -> String {
         }
         out.push('\n');
     }
-    out.push_str("Lengths are strings with a unit: um, mm, cm, m, km, or diag, a share of the diagonal of the asset's\n");
+    out.push_str(
+        "Lengths are strings with a unit: um, mm, cm, m, km, or diag, a share of the diagonal of the asset's\n",
+    );
     out.push_str("bounding box. glTF's unit is the metre.\n");
     out
 }
@@ -59,7 +61,12 @@ pub fn help(kind: &str) -> Option<String> {
     let mut out = format!("{}: {}\n", kind.as_str(), kind_sentence(kind).trim());
     for key in &keys {
         let standard = standard(key).replace('`', "");
-        out.push_str(&format!("  {:width$}  {} ({}; {standard})\n", key.name, meaning(key), takes(key).replace('`', "")));
+        out.push_str(&format!(
+            "  {:width$}  {} ({}; {standard})\n",
+            key.name,
+            meaning(key),
+            takes(key).replace('`', "")
+        ));
     }
     Some(out)
 }

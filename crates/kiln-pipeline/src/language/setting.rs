@@ -355,6 +355,9 @@ fn refuse_choice(node: &Node, choice: &Choice, ready: &[&str], report: &mut Repo
     report.add(Code::ValueUnsupported, &node.origin, message, "arrives later", Some(help));
 }
 
+/// Code, message and help for a key that is unknown here and known in another place.
+pub(crate) type Elsewhere = (Code, String, String);
+
 /// Reports every key of `table` that is not in `keys`, that arrives later, or that is required and absent.
 /// `place` names the table in messages ("a merge stage"), `missing_at` is where absent keys are pointed out.
 pub(crate) fn check_keys(
@@ -362,9 +365,10 @@ pub(crate) fn check_keys(
     keys: &[Key],
     place: &str,
     missing_at: &super::Origin,
-    elsewhere: &dyn Fn(&str) -> Option<(Code, String, String)>,
+    elsewhere: &dyn Fn(&str) -> Option<Elsewhere>,
     report: &mut Report,
 ) {
+    let mut meant: Vec<&str> = Vec::new();
     for entry in &table.entries {
         match keys.iter().find(|key| key.name == entry.name) {
             Some(key) if key.is_ready() => {}
@@ -379,14 +383,17 @@ pub(crate) fn check_keys(
                     report.add(code, &entry.key, message, "not a key of this table", Some(help));
                     continue;
                 }
-                let message = format!("unknown key `{}` in {place}", entry.name);
+                let preposition = if place.starts_with("the top") { "at" } else { "in" };
+                let message = format!("unknown key `{}` {preposition} {place}", entry.name);
+                meant.extend(nearest(&entry.name, names.iter().copied()));
                 let help = suggest("valid keys", &entry.name, &names);
                 report.add(Code::KeyUnknown, &entry.key, message, "no such key", help);
             }
         }
     }
     for key in keys.iter().filter(|key| key.standard == Standard::Required) {
-        if table.get(key.name).is_none() {
+        // A key that was misspelt is not missing as well.
+        if table.get(key.name).is_none() && !meant.contains(&key.name) {
             let message = format!("{place} needs the key `{}`", key.name);
             let help = Some(format!("`{}` takes {}: {}", key.name, key.shape.describe(), key.sentence));
             report.add(Code::KeyMissing, missing_at, message, format!("`{}` is missing", key.name), help);
@@ -501,7 +508,8 @@ impl Setting for Length {
             Data::Integer(_) | Data::Float(_) => {
                 // The number as it would be written, so that the fix can be copied.
                 let value = node.number().filter(|value| value.is_finite()).map_or_else(|| String::from("1"), plain);
-                let help = format!("write \"{value} m\" for metres or \"{value} diag\" for a share of the model's diagonal");
+                let help =
+                    format!("write \"{value} m\" for metres or \"{value} diag\" for a share of the model's diagonal");
                 report.add(Code::ValueLength, &node.origin, "a length needs a unit", "a bare number", Some(help));
                 return None;
             }
@@ -564,12 +572,12 @@ impl<T: Setting> Setting for Vec<T> {
     fn read(node: &Node, report: &mut Report) -> Option<Self> {
         let Some(items) = node.list() else {
             let shape = Self::shape();
-            if let Data::Text(text) = &node.data {
-                if let Some(choice) = shape.choices().iter().find(|choice| !choice.ready && choice.name == text) {
-                    let ready: Vec<&str> = shape.choices().iter().filter(|c| c.ready).map(|c| c.name).collect();
-                    refuse_choice(node, choice, &ready, report);
-                    return None;
-                }
+            if let Data::Text(text) = &node.data
+                && let Some(choice) = shape.choices().iter().find(|choice| !choice.ready && choice.name == text)
+            {
+                let ready: Vec<&str> = shape.choices().iter().filter(|c| c.ready).map(|c| c.name).collect();
+                refuse_choice(node, choice, &ready, report);
+                return None;
             }
             let help = match &node.data {
                 Data::Text(text) => Some(format!("write [\"{text}\"]")),

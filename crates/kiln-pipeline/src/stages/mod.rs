@@ -15,9 +15,13 @@ use std::sync::Arc;
 use kiln_asset::import::ImportError;
 use kiln_asset::{BlobError, LodSet, MaterialSet, Mesh};
 use kiln_engine::{ActionError, Context, Value};
+use kiln_gpu::Gpu;
 use serde::Serialize;
 
-use crate::language::StageSettings;
+pub use atlas::XatlasWorker;
+
+use crate::language::options::Kind;
+use crate::language::{Pipeline, StageSettings};
 use crate::language::value::Value as Setting;
 
 /// Why a stage failed: the stage's own error, by family.
@@ -122,4 +126,58 @@ pub(crate) fn load_materials(context: &Context<'_>, name: &str) -> Result<Materi
 /// The image inputs `images/0`, `images/1`, ... of a material set, encoded.
 pub(crate) fn load_images(context: &Context<'_>, materials: &MaterialSet) -> Result<Vec<Arc<[u8]>>, ActionError> {
     (0..materials.images.len()).map(|i| context.input(&format!("images/{i}"))).collect()
+}
+
+/// Where GPU passes run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Backend {
+    /// A hardware GPU where there is one, else the CPU twin.
+    #[default]
+    Auto,
+    /// A GPU, software adapters included; an error where there is none.
+    Gpu,
+    /// The CPU twin.
+    Cpu,
+}
+
+/// The backend that a plan's GPU stages run on: opened once, while the plan is made, since its class is part of fingerprints.
+#[derive(Clone, Default)]
+pub(crate) struct OpenBackend(pub(crate) Option<Arc<Gpu>>);
+
+impl OpenBackend {
+    /// The class of device that a stage of this kind depends on.
+    pub(crate) fn device_class(&self, kind: Kind) -> Option<String> {
+        let gpu = self.0.as_ref().filter(|_| kind == Kind::Bake)?;
+        Some(gpu.class().to_string())
+    }
+}
+
+/// Opens what `backend` names, if the pipeline has a stage that would use it.
+///
+/// # Errors
+/// A GPU was asked for by name and there is none.
+pub(crate) fn open_backend(backend: Backend, pipeline: &Pipeline) -> Result<OpenBackend, String> {
+    let uses = pipeline.stages.iter().any(|stage| stage.kind() == Kind::Bake);
+    match backend {
+        Backend::Auto if uses => Ok(OpenBackend(Gpu::open(false).ok().map(Arc::new))),
+        Backend::Gpu if uses => Gpu::open(true).map(|gpu| OpenBackend(Some(Arc::new(gpu)))).map_err(|e| e.to_string()),
+        _ => Ok(OpenBackend::default()),
+    }
+}
+
+/// The semantic version of a stage kind, as a container's provenance tells it.
+pub(crate) fn version(kind: Kind) -> String {
+    match kind {
+        Kind::Merge => merge::VERSION.to_string(),
+        Kind::Simplify => format!("{}.{}", simplify::COLLAPSE_VERSION, simplify::LEVELS_VERSION),
+        Kind::Atlas => atlas::VERSION.to_string(),
+        Kind::Bake => bake::VERSION.to_string(),
+        Kind::Pack => pack::VERSION.to_string(),
+    }
+}
+
+/// Everything in this program that a fingerprint may cover: two programs of equal identity make equal plans.
+pub fn identity() -> String {
+    let stages: String = Kind::ALL.iter().map(|kind| format!("{} {} ", kind.as_str(), version(*kind))).collect();
+    format!("import {} {stages}{} {}", import::VERSION, crate::foreign::NUMERIC_CLASS, crate::foreign::all().join(" "))
 }

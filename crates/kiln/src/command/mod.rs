@@ -45,9 +45,13 @@ pub fn main() -> ExitCode {
 
 /// Prints the reference of stage kinds and their keys.
 fn stage(kind: Option<&str>) -> Exit {
-    match kiln_pipeline::language::reference::reference_of(kind) {
-        Some(text) => data(&text),
-        None => complain(Exit::Usage, &format!("there is no stage kind `{}`", kind.unwrap_or_default())),
+    use kiln_pipeline::language::reference;
+    match kind {
+        None => data(&reference::reference()),
+        Some(kind) => match reference::help(kind) {
+            Some(text) => data(&text),
+            None => complain(Exit::Usage, &format!("there is no stage kind `{kind}`; `kiln stage` lists them")),
+        },
     }
 }
 

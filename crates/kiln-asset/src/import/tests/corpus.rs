@@ -61,8 +61,9 @@ fn every_corpus_model_has_the_counts_of_its_manifest() {
         let folder = Folder(path.parent().unwrap().to_owned());
         let main = path.file_name().unwrap().to_str().unwrap();
         let started = Instant::now();
-        let (asset, report) = import(&folder, main, &ImportLimits::default()).unwrap_or_else(|e| panic!("{}: {e}", row.file));
-        println!("{}: {:.2} s, {report:?}", row.file, started.elapsed().as_secs_f64());
+        let (asset, report) =
+            import(&folder, main, &ImportLimits::default()).unwrap_or_else(|e| panic!("{}: {e}", row.file));
+        eprintln!("{}: {:.2} s, {report:?}", row.file, started.elapsed().as_secs_f64());
         assert_eq!(report.stored_vertices, row.vertices, "{}", row.file);
         assert_eq!(report.stored_triangles, row.triangles, "{}", row.file);
         assert_eq!(report.meshes, row.meshes, "{}", row.file);
@@ -76,7 +77,13 @@ fn every_corpus_model_has_the_counts_of_its_manifest() {
         assert_eq!(names.len(), asset.mesh.submeshes.len(), "{}: names repeat", row.file);
         for (info, bytes) in asset.materials.images.iter().zip(&asset.images) {
             let raster = decode_image(info.format, bytes, &ImageLimits::default()).unwrap();
-            assert_eq!(Some((raster.width, raster.height)), image_size(info.format, bytes), "{}: {}", row.file, info.name);
+            assert_eq!(
+                Some((raster.width, raster.height)),
+                image_size(info.format, bytes),
+                "{}: {}",
+                row.file,
+                info.name
+            );
         }
     }
 }

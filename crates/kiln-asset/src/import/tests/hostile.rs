@@ -189,7 +189,8 @@ fn what_is_not_read_is_refused_by_name() {
         edit(&mut document, pointer, Some(value));
         match import_json(&document) {
             Err(ImportError::Unsupported(defects)) => {
-                let defect = defects.iter().find(|d| d.path == path).unwrap_or_else(|| panic!("{pointer}: {defects:?}"));
+                let defect =
+                    defects.iter().find(|d| d.path == path).unwrap_or_else(|| panic!("{pointer}: {defects:?}"));
                 assert!(defect.message.contains(word), "{pointer}: {defect}");
             }
             other => panic!("{pointer}: {:?}", other.map(|(_, report)| report)),
@@ -277,10 +278,8 @@ const SOON_SECONDS: u64 = 10;
 #[test]
 fn graphs_with_two_to_the_forty_paths_are_refused_fast() {
     let mut model = square();
-    let nodes: Vec<Value> = (0..40)
-        .map(|i| json!({ "children": [i + 1, i + 1] }))
-        .chain([json!({ "mesh": 0 })])
-        .collect();
+    let nodes: Vec<Value> =
+        (0..40).map(|i| json!({ "children": [i + 1, i + 1] })).chain([json!({ "mesh": 0 })]).collect();
     model.document["nodes"] = Value::Array(nodes);
     let started = Instant::now();
     let paths = defect_paths(import_json(&model.gltf()));
@@ -315,6 +314,41 @@ fn instances_beyond_the_limits_are_refused_before_they_are_made() {
         assert!(text.contains(part), "{text}");
     }
     assert!(import(&files, "m.glb", &ImportLimits::default()).is_ok());
+}
+
+#[test]
+fn a_small_file_cannot_claim_millions_of_zeros() {
+    let mut model = square();
+    let indices = model.view(&[0], None);
+    let values = model.view(&floats(&[0.0; 3]), None);
+    model.document["accessors"][0] = json!({
+        "componentType": 5126, "type": "VEC3", "count": 60_000_000,
+        "sparse": {
+            "count": 1,
+            "indices": { "bufferView": indices, "componentType": 5121 },
+            "values": { "bufferView": values }
+        }
+    });
+    assert_eq!(defect_paths(import_json(&model.gltf())), ["accessors[0].count"]);
+}
+
+#[test]
+fn replaced_elements_count_at_every_use() {
+    let mut model = square();
+    let indices = model.view(&[1, 3], None);
+    let values = model.view(&floats(&[0.0; 6]), None);
+    model.document["accessors"][0]["sparse"] = json!({
+        "count": 2,
+        "indices": { "bufferView": indices, "componentType": 5121 },
+        "values": { "bufferView": values }
+    });
+    let primitive = model.document["meshes"][0]["primitives"][0].clone();
+    model.document["meshes"][0]["primitives"] = Value::Array(vec![primitive; 5]);
+    let files = Memory(BTreeMap::from([("m.glb".to_owned(), model.glb())]));
+    let limits = |most| ImportLimits { max_vertices: most, ..Default::default() };
+    let error = import(&files, "m.glb", &limits(9)).unwrap_err();
+    assert!(error.to_string().contains("10 replaced elements"), "{error}");
+    assert!(import(&files, "m.glb", &limits(20)).is_ok());
 }
 
 #[test]

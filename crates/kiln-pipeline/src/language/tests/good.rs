@@ -11,11 +11,8 @@ fn codes(loaded: &Loaded) -> Vec<&'static str> {
 #[test]
 fn the_example_of_the_design_meets_only_refusals_of_what_arrives_later() {
     let loaded = load_text(EXAMPLE, &[]);
-    let said: Vec<(&str, &str)> = loaded
-        .diagnostics
-        .iter()
-        .map(|one| (one.code.as_str(), &EXAMPLE[one.span.clone()]))
-        .collect();
+    let said: Vec<(&str, &str)> =
+        loaded.diagnostics.iter().map(|one| (one.code.as_str(), &EXAMPLE[one.span.clone()])).collect();
     assert_eq!(
         said,
         [("value.unsupported", "\"free\""), ("key.unsupported", "texture-border"), ("key.unsupported", "submesh")]
@@ -125,7 +122,9 @@ fn a_later_setting_of_the_same_key_wins() {
 
 #[test]
 fn a_child_is_laid_over_its_parents_by_id_and_replaces_lists() {
-    let common = SMALL.replace("models/**/*.glb", "shared/*.glb").replace("[[stage]]\nkind = \"merge\"", "[[stage]]\nkind = \"merge\"\nweld = \"3 mm\"");
+    let common = SMALL
+        .replace("models/**/*.glb", "shared/*.glb")
+        .replace("[[stage]]\nkind = \"merge\"", "[[stage]]\nkind = \"merge\"\nweld = \"3 mm\"");
     let middle = "kiln = 1\nbase = \"deep/common.toml\"\n[[stage]]\nid = \"lods\"\nlevels = [ { keep = 0.25 } ]\n";
     let text = "kiln = 1\nbase = \"../m/middle.toml\"\n\n[asset]\noutput = \"out/{name}.kiln\"\n\n[[stage]]\nid = \"lods\"\nnormals = \"rebuild\"\n\n[[stage]]\nid = \"more\"\nkind = \"simplify\"\nlevels = [ { keep = 0.125 } ]\n";
     let read = |path: &str| match path {
@@ -161,7 +160,8 @@ fn the_resolved_form_ignores_comments_blanks_and_key_order() {
 
 #[test]
 fn the_resolved_form_reads_back_as_itself() {
-    let text = format!("{SMALL}\n[[override]]\nmatch = \"a/*\"\nset = {{ \"stage.lods.levels\" = [ {{ keep = 1e-9 }} ] }}\n");
+    let text =
+        format!("{SMALL}\n[[override]]\nmatch = \"a/*\"\nset = {{ \"stage.lods.levels\" = [ {{ keep = 1e-9 }} ] }}\n");
     let pipeline = good_text(&text, &[]);
     let resolved = pipeline.to_resolved_toml();
     assert_eq!(good_text(&resolved, &[]).to_resolved_toml(), resolved);
@@ -230,11 +230,17 @@ fn the_reference_has_every_key_that_the_parser_takes_and_no_other() {
         }
         // A key of the reference is never unknown to the parser: it is read, or refused as planned.
         for key in kind.keys() {
-            let stage = format!("\n[[stage]]\nid = \"probe\"\nkind = \"{}\"\n{} = 1979-05-27\n", kind.as_str(), key.name);
+            let stage =
+                format!("\n[[stage]]\nid = \"probe\"\nkind = \"{}\"\n{} = 1979-05-27\n", kind.as_str(), key.name);
             let loaded = load_text(&format!("{SMALL}{stage}"), &[]);
             let wanted = if key.is_ready() { Code::ValueType } else { Code::KeyUnsupported };
             let at = |one: &Diagnostic| one.source == 0 && one.span.start > SMALL.len();
-            assert!(loaded.diagnostics.iter().any(|one| at(one) && one.code == wanted), "{} {}", kind.as_str(), key.name);
+            assert!(
+                loaded.diagnostics.iter().any(|one| at(one) && one.code == wanted),
+                "{} {}",
+                kind.as_str(),
+                key.name
+            );
             assert!(loaded.diagnostics.iter().all(|one| one.code != Code::KeyUnknown), "{}", key.name);
         }
         let help = reference::help(kind.as_str()).unwrap();

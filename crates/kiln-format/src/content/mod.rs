@@ -1,12 +1,12 @@
 //! Tables and payload: what the sections say, checked against each other.
 
+pub(crate) mod payload;
+
 use bytemuck::Pod;
 
 use crate::envelope::{Envelope, State, first_nonzero};
 use crate::error::{CheckReport, Code, FormatError};
-use crate::kind::{
-    Channel, ErrorKind, Kind, PAYLOAD_ALIGNMENT, Role, Semantic, TextureFormat, VertexFormat, unknown,
-};
+use crate::kind::{Channel, ErrorKind, Kind, PAYLOAD_ALIGNMENT, Role, TextureFormat, unknown};
 use crate::provenance::{self, Provenance};
 use crate::record::*;
 
@@ -307,7 +307,12 @@ impl Check<'_, '_> {
             self.finite(|| at("error"), &[level.error], report);
             self.finite(|| at("bounds"), &[level.bounds_min, level.bounds_max].concat(), report);
             if level.error < last_error {
-                report.push(FormatError::new(Code::LevelError, at("error"), format!("at least {last_error}"), level.error));
+                report.push(FormatError::new(
+                    Code::LevelError,
+                    at("error"),
+                    format!("at least {last_error}"),
+                    level.error,
+                ));
             }
             last_error = last_error.max(level.error);
             if ErrorKind::from_number(level.error_kind).is_none() {
@@ -384,12 +389,11 @@ impl Check<'_, '_> {
             };
             domain(m.alpha_mode <= 2, "alpha_mode", "0, 1 or 2", m.alpha_mode as f32);
             domain(m.flags <= 1, "flags", "bit 0 only", m.flags as f32);
-            domain(!(m.alpha_cutoff < 0.0), "alpha_cutoff", "0 or more", m.alpha_cutoff);
+            domain(m.alpha_cutoff >= 0.0 || m.alpha_cutoff.is_nan(), "alpha_cutoff", "0 or more", m.alpha_cutoff);
             self.string(at("name"), m.name, report);
             self.finite(|| at("base_color_factor"), &m.base_color_factor, report);
             self.finite(|| at("emissive_factor"), &m.emissive_factor, report);
-            let factors =
-                [m.alpha_cutoff, m.metallic_factor, m.roughness_factor, m.normal_scale, m.occlusion_strength];
+            let factors = [m.alpha_cutoff, m.metallic_factor, m.roughness_factor, m.normal_scale, m.occlusion_strength];
             self.finite(|| at("factors"), &factors, report);
             self.reserved(|| format!("materials[{number}]"), m.reserved == 0, report);
             for (role, slot) in Role::ALL.iter().zip(&m.slots) {
@@ -455,8 +459,7 @@ impl Check<'_, '_> {
             let counts_ok = (1..=most).contains(&texture.mip_count) && texture.tail_first < texture.mip_count;
             if !counts_ok || texture.first_mip as u64 != first_mip {
                 let expected = format!("1 to {most} mips from {first_mip} with a tail");
-                let found =
-                    format!("{} from {}, tail at {}", texture.mip_count, texture.first_mip, texture.tail_first);
+                let found = format!("{} from {}, tail at {}", texture.mip_count, texture.first_mip, texture.tail_first);
                 report.push(FormatError::new(Code::Mips, at("mip_count"), expected, found));
                 continue;
             }
@@ -584,131 +587,4 @@ impl Check<'_, '_> {
             }
         }
     }
-
-    /// Arrays, indices and boxes of a level whose sections are at hand.
-    fn geometry(&self, lod: usize, report: &mut CheckReport) {
-        let t = self.tables;
-        let level = &t.levels[lod];
-        let sections = (
-            self.envelope.section(level.vertex_section as usize),
-            self.envelope.section(level.index_section as usize),
-        );
-        let (Some(vertices), Some(indices)) = sections else { return };
-        let before = report.count();
-        self.arrays(lod, vertices, report);
-        if report.count() != before {
-            return;
-        }
-        let length = level.triangles as usize * 3 * level.index_width as usize;
-        if indices.len() != length {
-            let at = format!("levels[{lod}].index_section");
-            report.push(FormatError::new(Code::Arrays, at, format!("{length} bytes"), indices.len()));
-            return;
-        }
-        let positions: &[[f32; 3]] = bytemuck::try_cast_slice(&vertices[..level.vertices as usize * 12]).unwrap_or(&[]);
-        let found = box_of(positions.iter());
-        if found != (level.bounds_min, level.bounds_max) {
-            let expected = format!("{found:?}");
-            let stated = format!("{:?}", (level.bounds_min, level.bounds_max));
-            report.push(FormatError::new(Code::Box, format!("levels[{lod}].bounds"), expected, stated));
-        }
-        match level.index_width {
-            2 => self.indices(lod, bytemuck::try_cast_slice::<u8, u16>(indices).unwrap_or(&[]), positions, report),
-            _ => self.indices(lod, bytemuck::try_cast_slice::<u8, u32>(indices).unwrap_or(&[]), positions, report),
-        }
-    }
-
-    fn arrays(&self, lod: usize, bytes: &[u8], report: &mut CheckReport) {
-        let level = &self.tables.levels[lod];
-        let (mut end, mut last, mut has_positions) = (0u64, 0, false);
-        for (number, array) in self.tables.level_arrays(level).iter().enumerate() {
-            let at = || format!("levels[{lod}].arrays[{number}]");
-            let semantic = Semantic::from_number(array.semantic);
-            has_positions |= number == 0 && semantic == Some(Semantic::Positions);
-            let start = end.next_multiple_of(PAYLOAD_ALIGNMENT as u64);
-            // A newer minor may add semantics and formats; their arrays are still tiled.
-            let length = match (semantic, VertexFormat::from_number(array.format)) {
-                (Some(semantic), Some(format)) if semantic.format() == format => {
-                    level.vertices as u64 * format.size() as u64
-                }
-                (None, _) if !self.strict => array.length,
-                _ => {
-                    let found = format!("semantic {} in format {}", array.semantic, array.format);
-                    report.push(FormatError::new(Code::Arrays, at(), "a registered pair", found));
-                    return;
-                }
-            };
-            let stop = start.checked_add(length).filter(|stop| *stop <= bytes.len() as u64);
-            let (Some(stop), true) = (stop, array.offset == start && array.length == length && array.semantic > last)
-            else {
-                let expected = format!("{length} bytes at {start}, semantic above {last}");
-                let found = format!("{} bytes at {}, semantic {}", array.length, array.offset, array.semantic);
-                report.push(FormatError::new(Code::Arrays, at(), expected, found));
-                return;
-            };
-            if let Some((i, byte)) = first_nonzero(&bytes[end as usize..start as usize]) {
-                let found = format!("{byte:#04x} at byte {}", end + i as u64);
-                report.push(FormatError::new(Code::Padding, at(), "zeros before it", found));
-            }
-            let values = &bytes[start as usize..stop as usize];
-            if semantic.is_some_and(|semantic| semantic != Semantic::Joints) {
-                let floats: &[f32] = bytemuck::try_cast_slice(values).unwrap_or(&[]);
-                self.finite(at, floats, report);
-            }
-            self.reserved(at, array.reserved == [0; 2], report);
-            (end, last) = (stop, array.semantic);
-        }
-        if end != bytes.len() as u64 || !has_positions {
-            let at = format!("levels[{lod}].arrays");
-            let expected = format!("positions first and {} bytes in all", bytes.len());
-            report.push(FormatError::new(Code::Arrays, at, expected, format!("{end} bytes")));
-        }
-    }
-
-    fn indices<I: Copy + Into<u32>>(&self, lod: usize, indices: &[I], positions: &[[f32; 3]], report: &mut CheckReport) {
-        for (number, range) in self.tables.level_ranges(lod).iter().enumerate() {
-            let at = |field: &str| format!("levels[{lod}].ranges[{number}].{field}");
-            let own = slice(indices, range.first_index, range.index_count);
-            let least = own.iter().map(|i| (*i).into()).min().unwrap_or(0);
-            let count = own.iter().map(|i| (*i).into() - least).max().map_or(0, |greatest| greatest as u64 + 1);
-            if least as u64 + count > positions.len() as u64 {
-                let expected = format!("indices below {}", positions.len());
-                report.push(FormatError::new(Code::IndexRange, at("indices"), expected, least as u64 + count - 1));
-                continue;
-            }
-            if (range.first_vertex, range.vertex_count as u64) != (least, count) {
-                let found = format!("{} from {}", range.vertex_count, range.first_vertex);
-                let expected = format!("{count} from {least}");
-                report.push(FormatError::new(Code::IndexRange, at("first_vertex"), expected, found));
-            }
-            let found = box_of(own.iter().map(|i| &positions[(*i).into() as usize]));
-            if found != (range.bounds_min, range.bounds_max) {
-                let stated = format!("{:?}", (range.bounds_min, range.bounds_max));
-                report.push(FormatError::new(Code::Box, at("bounds"), format!("{found:?}"), stated));
-            }
-        }
-    }
-
-    fn tail_padding(&self, texture: &TextureRecord) -> Option<FormatError> {
-        let bytes = self.envelope.section(texture.tail_section as usize)?;
-        let mut end = 0;
-        for mip in &self.tables.texture_mips(texture)[texture.tail_first as usize..] {
-            let start = mip.offset as usize;
-            if let Some((i, byte)) = first_nonzero(bytes.get(end..start)?) {
-                let at = format!("section {}", texture.tail_section);
-                let found = format!("{byte:#04x} at byte {}", end + i);
-                return Some(FormatError::new(Code::Padding, at, "zeros between mips", found));
-            }
-            end = start + mip.length as usize;
-        }
-        None
-    }
-}
-
-/// The smallest box over positions; zeros for none.
-pub(crate) fn box_of<'p>(mut positions: impl Iterator<Item = &'p [f32; 3]>) -> ([f32; 3], [f32; 3]) {
-    let Some(first) = positions.next() else { return ([0.0; 3], [0.0; 3]) };
-    positions.fold((*first, *first), |(lo, hi), p| {
-        (std::array::from_fn(|k| lo[k].min(p[k])), std::array::from_fn(|k| hi[k].max(p[k])))
-    })
 }

@@ -1,0 +1,149 @@
+//! Bytes to the device and back.
+
+use std::sync::mpsc;
+
+use crate::{Gpu, GpuError};
+
+/// Rows of a picture lie this far apart in a buffer, bytes (an API rule).
+const ROW_ALIGNMENT: u64 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as u64;
+
+impl Gpu {
+    /// A read-only storage buffer with these values; an empty slice gives one zeroed value, since bindings may not be empty.
+    ///
+    /// # Errors
+    /// Larger than the device binds, or no memory.
+    pub fn storage<T: bytemuck::Pod>(&self, label: &str, values: &[T]) -> Result<wgpu::Buffer, GpuError> {
+        let zero = [T::zeroed()];
+        let bytes: &[u8] = bytemuck::cast_slice(if values.is_empty() { &zero } else { values });
+        let limits = self.device().limits();
+        let limit = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        self.filled(label, bytes, wgpu::BufferUsages::STORAGE, limit)
+    }
+
+    /// A uniform buffer with this value.
+    ///
+    /// # Errors
+    /// Larger than the device binds, or no memory.
+    pub fn uniform<T: bytemuck::Pod>(&self, label: &str, value: &T) -> Result<wgpu::Buffer, GpuError> {
+        let limit = self.device().limits().max_uniform_buffer_binding_size;
+        self.filled(label, bytemuck::bytes_of(value), wgpu::BufferUsages::UNIFORM, limit)
+    }
+
+    fn filled(&self, label: &str, bytes: &[u8], usage: wgpu::BufferUsages, limit: u64) -> Result<wgpu::Buffer, GpuError> {
+        let needed = (bytes.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
+        if needed > limit {
+            return Err(GpuError::TooLarge { what: label.to_owned(), needed, limit, unit: "bytes" });
+        }
+        self.check(label, || {
+            let buffer = self.device().create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size: needed,
+                usage: usage | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            });
+            self.queue().write_buffer(&buffer, 0, bytes);
+            buffer
+        })
+    }
+
+    /// A square picture of `size` texels a side without content.
+    ///
+    /// # Errors
+    /// Larger than the device draws to, or no memory.
+    pub fn picture(
+        &self,
+        label: &str,
+        size: u32,
+        format: wgpu::TextureFormat,
+        usage: wgpu::TextureUsages,
+    ) -> Result<wgpu::Texture, GpuError> {
+        let limit = self.device().limits().max_texture_dimension_2d;
+        if size > limit {
+            let (needed, limit) = (size as u64, limit as u64);
+            return Err(GpuError::TooLarge { what: label.to_owned(), needed, limit, unit: "texels a side" });
+        }
+        self.check(label, || {
+            self.device().create_texture(&wgpu::TextureDescriptor {
+                label: Some(label),
+                size: wgpu::Extent3d { width: size, height: size, depth_or_array_layers: 1 },
+                mip_level_count: 1,
+                sample_count: 1,
+                dimension: wgpu::TextureDimension::D2,
+                format,
+                usage,
+                view_formats: &[],
+            })
+        })
+    }
+
+    /// A square R32Uint picture with these texels, to be read by shaders. `texels`: `[size * size]`, top row first.
+    ///
+    /// # Errors
+    /// As for [`Gpu::picture`], or `texels` of another length.
+    pub fn id_picture(&self, label: &str, size: u32, texels: &[u32]) -> Result<wgpu::Texture, GpuError> {
+        if texels.len() as u64 != size as u64 * size as u64 {
+            let reason = format!("{} texels for a picture of {size} x {size}", texels.len());
+            return Err(GpuError::Refused { what: label.to_owned(), reason });
+        }
+        let usage = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST;
+        let picture = self.picture(label, size, wgpu::TextureFormat::R32Uint, usage)?;
+        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(size * 4), rows_per_image: None };
+        self.check(label, || {
+            self.queue().write_texture(picture.as_image_copy(), bytemuck::cast_slice(texels), layout, picture.size());
+        })?;
+        Ok(picture)
+    }
+
+    /// The texels of a square R32Uint picture (usage COPY_SRC), `[size * size]`, top row first, after all work submitted so
+    /// far.
+    ///
+    /// # Errors
+    /// Too large for one buffer, no memory, a lost device.
+    pub fn read_id_picture(&self, picture: &wgpu::Texture) -> Result<Vec<u32>, GpuError> {
+        let (width, height) = (picture.width() as u64, picture.height() as u64);
+        let row = (width * 4).next_multiple_of(ROW_ALIGNMENT);
+        let (needed, limit) = (row * height, self.device().limits().max_buffer_size);
+        if needed > limit {
+            return Err(GpuError::TooLarge { what: "readback".into(), needed, limit, unit: "bytes" });
+        }
+        let (done, outcome) = mpsc::channel();
+        let buffer = self.check("readback", || {
+            let buffer = self.device().create_buffer(&wgpu::BufferDescriptor {
+                label: Some("readback"),
+                size: needed,
+                usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+                mapped_at_creation: false,
+            });
+            let mut encoder = self.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            let layout =
+                wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row as u32), rows_per_image: None };
+            encoder.copy_texture_to_buffer(
+                picture.as_image_copy(),
+                wgpu::TexelCopyBufferInfo { buffer: &buffer, layout },
+                picture.size(),
+            );
+            self.queue().submit([encoder.finish()]);
+            buffer.map_async(wgpu::MapMode::Read, .., move |mapped| {
+                // The receiver lives in this function; if it is gone, nobody waits.
+                let _ = done.send(mapped);
+            });
+            buffer
+        })?;
+        let lost = |reason: String| GpuError::Lost { reason };
+        self.check("readback", || self.device().poll(wgpu::PollType::wait_indefinitely()))?
+            .map_err(|e| lost(e.to_string()))?;
+        match outcome.try_recv() {
+            Ok(Ok(())) => {}
+            Ok(Err(e)) => return Err(lost(e.to_string())),
+            Err(_) => return Err(lost("the readback never finished".into())),
+        }
+        let mapped = buffer.get_mapped_range(..).map_err(|e| lost(e.to_string()))?;
+        let mut texels = Vec::with_capacity((width * height) as usize);
+        for line in mapped.chunks_exact(row as usize).take(height as usize) {
+            texels.extend(
+                line.as_chunks::<4>().0.iter().take(width as usize).map(|b| u32::from_le_bytes(*b)),
+            );
+        }
+        Ok(texels)
+    }
+}

@@ -1,0 +1,254 @@
+//! Simplify: edge collapses on points and wedges, logged once to exhaustion, from which all levels are cut.
+//!
+//! **Problem.** In: a mesh with points shared along boundaries and seams. Out: levels with fewer triangles, finest first, each
+//! with its measured distance to the source. Must not change: submeshes (names, order, materials), charts (attributes never
+//! cross a seam), joined borders (no crack), and in a level that keeps all triangles, any bit.
+//!
+//! **Method.** Half-edge collapse: `from` goes, `to` stays where it is.
+//! ```text
+//! quadrics  <- area-weighted planes of the faces; planes along border, seam and boundary edges
+//! heap      <- for each point its cheapest target that the table of kinds allows
+//! while the heap has a point, and more faces than the floor are left:
+//!     test the cheapest: link, partners, turn, sliver, UV          (rules)
+//!     forbidden: the point's next dearer target; else
+//!     collapse: faces at both ends vanish, wedges go to their partners, quadrics add; log it
+//!     price `to` and its neighbours again
+//! level     <- the shortest prefix of the log that meets the budget, replayed; then its distance to the source is measured
+//! ```
+//! No crack can open: submeshes share points, and a point of a seam or boundary goes with all its wedges at once, each to the
+//! wedge that its own faces have at the other end.
+//!
+//! **Departures.** Garland and Heckbert place the kept point where the quadric is least; here it is an end (so that levels are
+//! subsets of one vertex buffer), and they weigh border planes by 1000, here by a factor found on open scans. Lines use the
+//! same plane weights in a scale-free unit (square edge length).
+//!
+//! **Limits.** Points where lines meet and points without a fan never go, so models of many small charts or parts stop early; the
+//! report counts what each rule forbade. Attributes do not price collapses yet, they only forbid those across seams; creases
+//! (wedges that differ in normal only) hold nothing: a wedge takes the nearest normal at the kept point.
+//!
+//! **Sources.** M. Garland, P. Heckbert, "Surface simplification using quadric error metrics", SIGGRAPH 1997,
+//! doi:10.1145/258734.258849. C. Gonzalez, PhD thesis, Universitat Jaume I 2010, chapter 3 (boundaries). Link condition: T. Dey
+//! et al., "Topology preserving edge contraction", Publ. Inst. Math. 1999.
+
+pub mod rules;
+pub mod sequence;
+mod collapse;
+mod error;
+mod heap;
+mod quadric;
+mod uv_border;
+
+use kiln_asset::{Level, LodSet, Mesh, QuadricCoefficients, UvLayout};
+use serde::{Deserialize, Serialize};
+
+pub use error::surface_error;
+pub use sequence::{Collapse, CollapseSequence, SequenceReport};
+
+use crate::check;
+use rules::Rule;
+
+/// How to collapse. All are unitless.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimplifyOptions {
+    /// Stop when this share of the faces is left; 0 goes on to exhaustion. A twentieth of a percent is below any level that
+    /// people ask for and spares nothing worth sparing, so the default is 0.
+    pub floor: f64,
+    /// How strongly open borders hold their shape, on the square length of their edges.
+    pub border_weight: f64,
+    /// How strongly seams and boundaries hold theirs.
+    pub line_weight: f64,
+    /// Share of the square edge length in the cost: orders places without error (flat, straight) by length, and is far below
+    /// any error that shows.
+    pub length_weight: f64,
+    /// Cosine of the most that a face may turn.
+    pub turn_cosine: f64,
+    /// Least `2 area / longest edge squared` of a face that is made thinner.
+    pub sliver: f64,
+}
+
+impl Default for SimplifyOptions {
+    fn default() -> Self {
+        SimplifyOptions {
+            floor: 0.0,
+            border_weight: 10.0,
+            line_weight: 1.0,
+            length_weight: 1e-6,
+            turn_cosine: 0.25,
+            sliver: 0.02,
+        }
+    }
+}
+
+/// What a level may have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Budget {
+    /// Share of the source asset's triangles.
+    Keep(f64),
+    /// Triangles.
+    Triangles(u32),
+    /// Measured distance to the source, object units.
+    Error(f32),
+}
+
+/// How to cut and measure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LevelsOptions {
+    /// Most sample points a side when the error is measured; vertices first, then points spread over the faces by area.
+    pub samples: u32,
+}
+
+impl Default for LevelsOptions {
+    fn default() -> Self {
+        LevelsOptions { samples: 200_000 }
+    }
+}
+
+/// One level.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LevelReport {
+    /// What was asked, in words.
+    pub budget: String,
+    /// Triangles reached.
+    pub triangles: u32,
+    /// Measured error, object units.
+    pub error: f32,
+    /// The metric's own estimate, object units.
+    pub metric_error: f32,
+    /// Triangles of each submesh, in order.
+    pub submeshes: Vec<u32>,
+    /// Border edges along boundaries that were joined before: always 0.
+    pub gaps: u32,
+    /// Why the budget was missed, if it was.
+    pub short: Option<String>,
+}
+
+/// All levels of a stage.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SimplifyReport {
+    /// Finest first.
+    pub levels: Vec<LevelReport>,
+}
+
+/// The collapse sequence of `mesh` to exhaustion. `carried`: empty, or `[point_count]` forms of an earlier stage, object space.
+/// `layout`: the atlas whose chart borders must stay in place.
+pub fn collapse(
+    mesh: &Mesh,
+    carried: &[QuadricCoefficients],
+    layout: Option<&UvLayout>,
+    options: &SimplifyOptions,
+) -> CollapseSequence {
+    collapse::Collapser::new(mesh, carried, layout, options).run()
+}
+
+/// The levels of `budgets` (finest first) out of `sequence`, measured against `source`. `mesh` and `carried` are those that the
+/// sequence was made from; each level carries its forms on.
+///
+/// # Panics
+/// If `sequence` is of another mesh.
+pub fn levels(
+    mesh: &Mesh,
+    carried: &[QuadricCoefficients],
+    sequence: &CollapseSequence,
+    source: &Mesh,
+    budgets: &[Budget],
+    options: &LevelsOptions,
+) -> (LodSet, SimplifyReport) {
+    let source_triangles: u32 = mesh.submeshes.iter().map(|s| s.source_triangles).sum();
+    let surface = error::Surface::new(source, options.samples);
+    let mut forms = collapse::Forms::new(mesh, carried, &SimplifyOptions::default());
+    let mut set = LodSet { levels: Vec::new(), layout: None, source_triangles };
+    let mut report = SimplifyReport::default();
+    let mut least = 0.0_f32;
+    let mut finest = 0;
+    for budget in budgets {
+        let (count, measured) = match *budget {
+            Budget::Keep(share) => by_faces(mesh, sequence, &surface, (share * f64::from(source_triangles)).floor() as u32, finest),
+            Budget::Triangles(faces) => by_faces(mesh, sequence, &surface, faces, finest),
+            Budget::Error(error) => by_error(mesh, sequence, &surface, error, finest),
+        };
+        let (level, origin) =
+            sequence.replay_with_points(mesh, count).expect("invariant: a replay of the mesh's own sequence keeps its promises");
+        let quadrics = forms.at(sequence, count, &origin);
+        finest = count;
+        least = least.max(measured);
+        let asked = match *budget {
+            Budget::Keep(share) => format!("keep {share}"),
+            Budget::Triangles(faces) => format!("{faces} triangles"),
+            Budget::Error(error) => format!("error {error:e}"),
+        };
+        let faces = level.face_count() as u32;
+        let short = match *budget {
+            Budget::Keep(share) if faces > (share * f64::from(source_triangles)).floor() as u32 => Some(()),
+            Budget::Triangles(most) if faces > most => Some(()),
+            Budget::Error(error) if least > error => Some(()),
+            _ => None,
+        };
+        report.levels.push(LevelReport {
+            budget: asked.clone(),
+            triangles: faces,
+            error: least,
+            metric_error: count.checked_sub(1).map_or(0.0, |last| sequence.collapses[last].error),
+            submeshes: (0..level.submeshes.len() as u32)
+                .map(|s| level.submesh_faces(kiln_asset::SubmeshId(s)).len() as u32)
+                .collect(),
+            gaps: check::gaps(mesh, &level) as u32,
+            short: short.map(|()| why_short(&asked, faces, sequence)),
+        });
+        set.levels.push(Level { mesh: level, error: least, quadrics });
+    }
+    (set, report)
+}
+
+fn by_faces(
+    mesh: &Mesh,
+    sequence: &CollapseSequence,
+    surface: &error::Surface<'_>,
+    faces: u32,
+    finest: usize,
+) -> (usize, f32) {
+    let count = sequence.reach(faces).max(finest);
+    (count, surface.distance(&replayed(mesh, sequence, count)))
+}
+
+/// The coarsest cut whose measured distance is at most `error`: starts where the metric says so, then halves the range.
+fn by_error(
+    mesh: &Mesh,
+    sequence: &CollapseSequence,
+    surface: &error::Surface<'_>,
+    error: f32,
+    finest: usize,
+) -> (usize, f32) {
+    let mut best = (finest, surface.distance(&replayed(mesh, sequence, finest)));
+    let (mut low, mut high) = (finest, sequence.collapses.len());
+    let mut probe = sequence.within(error).clamp(low, high);
+    // Measured distances are not quite monotone in the cut; ten halvings find a cut that holds, not always the last one.
+    for _ in 0..10 {
+        if low >= high {
+            break;
+        }
+        let measured = surface.distance(&replayed(mesh, sequence, probe));
+        if measured <= error {
+            best = (probe, measured);
+            low = probe + 1;
+        } else {
+            high = probe;
+        }
+        probe = low + (high - low) / 2;
+    }
+    best
+}
+
+fn replayed(mesh: &Mesh, sequence: &CollapseSequence, count: usize) -> Mesh {
+    sequence.replay(mesh, count).expect("invariant: a replay of the mesh's own sequence keeps its promises")
+}
+
+fn why_short(asked: &str, faces: u32, sequence: &CollapseSequence) -> String {
+    let report = sequence.report();
+    let mut worst: Vec<(u32, Rule)> = Rule::ALL.iter().map(|r| (report.blocked[*r as usize], *r)).filter(|w| w.0 > 0).collect();
+    worst.sort_by_key(|w| (std::cmp::Reverse(w.0), w.1));
+    let reasons: Vec<String> = worst.iter().take(3).map(|(n, rule)| format!("{n} times {}", rule.reason())).collect();
+    format!("asked {asked}, reached {faces} triangles: no further collapse is legal ({})", reasons.join("; "))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,178 @@
+//! The collapse sequence: what was collapsed, in order; any prefix of it is a level.
+
+use bytemuck::{Pod, Zeroable};
+use kiln_asset::blob::{BlobError, BlobReader, BlobWriter};
+use kiln_asset::{Mesh, MeshError, SubmeshId};
+use serde::{Deserialize, Serialize};
+
+use super::rules::RULE_COUNT;
+
+/// One collapse: `from` goes, `to` stays where it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Collapse {
+    /// The point that goes.
+    pub from: u32,
+    /// The point that stays.
+    pub to: u32,
+    /// Where the faces that vanish start in [`CollapseSequence::faces`]; they end where the next collapse's start.
+    pub first_face: u32,
+    /// Where the wedge pairs start in [`CollapseSequence::pairs`].
+    pub first_pair: u32,
+    /// The metric's error so far, a length in object units: the largest root of a kept form's value by its area.
+    pub error: f32,
+}
+
+/// What ended the sequence.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SequenceReport {
+    /// Number of collapses.
+    pub collapses: u32,
+    /// Faces that are left at its end.
+    pub faces_left: u32,
+    /// It stopped at the floor, not for want of legal collapses.
+    pub at_floor: bool,
+    /// In its last sweep, how often each rule ([`super::rules::Rule::ALL`]) forbade a collapse.
+    pub blocked: [u32; RULE_COUNT],
+}
+
+/// All collapses of a mesh in order, to exhaustion; independent of any level.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct CollapseSequence {
+    face_count: u32,
+    vertex_count: u32,
+    /// In order.
+    pub collapses: Vec<Collapse>,
+    /// Faces that vanish, by collapse.
+    pub faces: Vec<u32>,
+    /// (wedge that goes, wedge that its corners use from then on), by collapse.
+    pub pairs: Vec<[u32; 2]>,
+    pub(super) report: SequenceReport,
+}
+
+impl CollapseSequence {
+    pub(super) fn new(face_count: u32, vertex_count: u32) -> CollapseSequence {
+        CollapseSequence { face_count, vertex_count, ..Default::default() }
+    }
+
+    /// What ended it.
+    pub fn report(&self) -> &SequenceReport {
+        &self.report
+    }
+
+    /// Faces left after the first `count` collapses.
+    pub fn faces_after(&self, count: usize) -> u32 {
+        let removed = self.collapses.get(count).map_or(self.faces.len() as u32, |c| c.first_face);
+        self.face_count - removed
+    }
+
+    /// The fewest collapses that leave at most `faces`; all of them if none leave so few.
+    pub fn reach(&self, faces: u32) -> usize {
+        // faces_after falls with count.
+        let (mut low, mut high) = (0, self.collapses.len());
+        while low < high {
+            let middle = (low + high) / 2;
+            if self.faces_after(middle) <= faces { high = middle } else { low = middle + 1 }
+        }
+        low
+    }
+
+    /// How many collapses keep the metric's error at or below `error`, object units.
+    pub fn within(&self, error: f32) -> usize {
+        self.collapses.partition_point(|c| c.error <= error)
+    }
+
+    /// The mesh after the first `count` collapses; the mesh itself, bit for bit, after none.
+    ///
+    /// # Errors
+    /// The sequence belongs to another mesh.
+    pub fn replay(&self, mesh: &Mesh, count: usize) -> Result<Mesh, MeshError> {
+        self.replay_with_points(mesh, count).map(|(level, _)| level)
+    }
+
+    /// As [`CollapseSequence::replay`], and for each point of the level `[point_count]` the mesh's point that it is.
+    pub(super) fn replay_with_points(&self, mesh: &Mesh, count: usize) -> Result<(Mesh, Vec<u32>), MeshError> {
+        if count == 0 {
+            return Ok((mesh.clone(), (0..mesh.point_count() as u32).collect()));
+        }
+        let pair_end = self.collapses.get(count).map_or(self.pairs.len(), |c| c.first_pair as usize);
+        let face_end = self.collapses.get(count).map_or(self.faces.len(), |c| c.first_face as usize);
+        // A partner may go later: resolve from the last pair backwards, when its own end is known already.
+        let mut stands: Vec<u32> = (0..mesh.vertex_count() as u32).collect();
+        for [wedge, partner] in self.pairs[..pair_end].iter().rev() {
+            if let (Some(end), true) = (stands.get(*partner as usize).copied(), (*wedge as usize) < stands.len()) {
+                stands[*wedge as usize] = end;
+            }
+        }
+        let mut gone = vec![false; mesh.face_count()];
+        for face in &self.faces[..face_end] {
+            if let Some(slot) = gone.get_mut(*face as usize) {
+                *slot = true;
+            }
+        }
+        let mut new_index = vec![u32::MAX; mesh.vertex_count()];
+        let mut triangles = Vec::with_capacity(mesh.face_count() - face_end.min(mesh.face_count()));
+        let mut face_submesh: Vec<SubmeshId> = Vec::with_capacity(triangles.capacity());
+        for (f, triangle) in mesh.triangles.iter().enumerate().filter(|(f, _)| !gone[*f]) {
+            triangles.push(triangle.map(|v| stands[v as usize]));
+            face_submesh.push(mesh.face_submesh[f]);
+        }
+        // Vertices keep the mesh's order.
+        for v in triangles.iter().flatten() {
+            new_index[*v as usize] = 0;
+        }
+        let keep: Vec<u32> = (0..mesh.vertex_count() as u32).filter(|v| new_index[*v as usize] == 0).collect();
+        for (i, v) in keep.iter().enumerate() {
+            new_index[*v as usize] = i as u32;
+        }
+        for triangle in &mut triangles {
+            *triangle = triangle.map(|v| new_index[v as usize]);
+        }
+        let level = Mesh::new(mesh.gather(&keep, triangles, face_submesh))?;
+        let mut origin = vec![0; level.point_count()];
+        for (v, old) in keep.iter().enumerate() {
+            origin[level.points[v].index()] = mesh.points[*old as usize].0;
+        }
+        Ok((level, origin))
+    }
+
+    /// The sequence as bytes for the private cache.
+    pub fn to_blob(&self) -> Vec<u8> {
+        let mut blob = BlobWriter::new(*b"CSEQ", 1);
+        blob.meta(&(self.face_count, self.vertex_count, &self.report));
+        blob.array(&self.collapses);
+        blob.array(&self.faces);
+        blob.array(&self.pairs);
+        blob.finish()
+    }
+
+    /// The sequence out of [`CollapseSequence::to_blob`] bytes.
+    ///
+    /// # Errors
+    /// Wrong type, version or length, an index out of range, or errors that shrink.
+    pub fn from_blob(bytes: &[u8]) -> Result<CollapseSequence, BlobError> {
+        let mut blob = BlobReader::open(bytes, *b"CSEQ", 1)?;
+        let (face_count, vertex_count, report): (u32, u32, SequenceReport) = blob.meta()?;
+        let sequence = CollapseSequence {
+            face_count,
+            vertex_count,
+            report,
+            collapses: blob.array()?,
+            faces: blob.array()?,
+            pairs: blob.array()?,
+        };
+        blob.finish()?;
+        let s = &sequence;
+        let sound = s.faces.len() as u64 <= u64::from(face_count)
+            && s.faces.iter().all(|f| *f < face_count)
+            && s.pairs.iter().flatten().all(|w| *w < vertex_count)
+            && s.collapses.windows(2).all(|w| {
+                w[0].first_face <= w[1].first_face && w[0].first_pair <= w[1].first_pair && w[0].error <= w[1].error
+            })
+            && s.collapses.first().is_none_or(|c| c.first_face == 0 && c.first_pair == 0)
+            && s.collapses.last().is_none_or(|c| {
+                c.first_face as usize <= s.faces.len() && c.first_pair as usize <= s.pairs.len()
+            });
+        if sound { Ok(sequence) } else { Err(BlobError::Content("collapse sequence out of range or order".into())) }
+    }
+}

@@ -1,0 +1,271 @@
+use kiln_asset::{BlobError, RawMesh};
+use proptest::prelude::*;
+
+use super::*;
+use crate::fixtures;
+use crate::topology::{PointKind, Topology};
+
+fn cut(mesh: &Mesh, budget: Budget) -> (Mesh, LevelReport) {
+    let sequence = collapse(mesh, &[], None, &SimplifyOptions::default());
+    let (mut set, mut report) = levels(mesh, &[], &sequence, mesh, &[budget], &LevelsOptions { samples: 20_000 });
+    (set.levels.remove(0).mesh, report.levels.remove(0))
+}
+
+#[test]
+fn a_subdivided_cube_collapses_back_to_twelve_faces_without_error() {
+    let (level, report) = cut(&fixtures::hard_cube(8), Budget::Triangles(12));
+    assert_eq!(level.face_count(), 12);
+    assert_eq!(report.short, None);
+    assert!(report.error < 1e-6 && report.metric_error < 1e-6, "{report:?}");
+}
+
+#[test]
+fn a_closed_sphere_without_budget_ends_as_a_tetrahedron() {
+    let mut options = SimplifyOptions { turn_cosine: -1.0, sliver: 0.0, ..Default::default() };
+    options.length_weight = 1e-6;
+    let mesh = fixtures::sphere(24, 16);
+    let sequence = collapse(&mesh, &[], None, &options);
+    assert_eq!(sequence.report().faces_left, 4, "{:?}", sequence.report());
+}
+
+#[test]
+fn a_flat_grid_collapses_to_two_faces_and_keeps_its_border() {
+    let (level, report) = cut(&fixtures::grid(12, 9), Budget::Triangles(2));
+    assert_eq!(level.face_count(), 2, "{report:?}");
+    assert!(report.error < 1e-6, "the rectangle is still the rectangle: {report:?}");
+}
+
+#[test]
+fn nothing_asked_gives_the_mesh_back_bit_for_bit() {
+    let mesh = fixtures::merged_pair(6, 5);
+    let (level, report) = cut(&mesh, Budget::Keep(1.0));
+    assert_eq!(level, mesh);
+    assert_eq!(report.error, 0.0);
+}
+
+#[test]
+fn budgets_are_met_and_never_exceeded() {
+    let mesh = fixtures::sphere(40, 30);
+    for asked in [1000, 517, 100, 40] {
+        let (level, report) = cut(&mesh, Budget::Triangles(asked));
+        let reached = level.face_count() as u32;
+        assert!(reached <= asked && reached + 2 > asked, "{reached} for {asked}: {report:?}");
+    }
+}
+
+#[test]
+fn an_error_budget_holds_when_it_is_measured() {
+    let mesh = fixtures::field(40, 40, |x, y| (x * 0.3).sin() * (y * 0.2).cos());
+    let (level, report) = cut(&mesh, Budget::Error(0.05));
+    assert!(report.error <= 0.05, "{report:?}");
+    assert!(level.face_count() < mesh.face_count() / 2, "and something was gained: {report:?}");
+    assert!(surface_error(&mesh, &level, 50_000) <= 0.055, "other sample points agree");
+}
+
+#[test]
+fn boundaries_stay_joined_and_every_level_keeps_both_submeshes() {
+    let mesh = fixtures::merged_pair(24, 18);
+    let sequence = collapse(&mesh, &[], None, &SimplifyOptions::default());
+    let budgets = [Budget::Keep(0.5), Budget::Keep(0.1), Budget::Keep(0.03)];
+    let (set, report) = levels(&mesh, &[], &sequence, &mesh, &budgets, &LevelsOptions::default());
+    for (level, report) in set.levels.iter().zip(&report.levels) {
+        assert_eq!(report.gaps, 0);
+        assert_eq!(crate::check::gaps(&mesh, &level.mesh), 0);
+        assert_eq!(level.mesh.submeshes, mesh.submeshes);
+        assert!(report.submeshes.iter().all(|n| *n > 0), "{report:?}");
+        assert_eq!(level.quadrics.len(), level.mesh.point_count());
+    }
+    assert!(report.levels.windows(2).all(|w| w[0].error <= w[1].error));
+}
+
+#[test]
+fn an_opened_boundary_is_found_as_a_gap() {
+    let mesh = fixtures::merged_pair(6, 5);
+    let mut raw = mesh.clone().into_raw();
+    raw.points.clear();
+    let apart = Mesh::new(raw).unwrap();
+    assert!(crate::check::gaps(&mesh, &apart) > 0, "the check can fail");
+}
+
+#[test]
+fn a_later_stage_goes_on_from_the_forms_of_the_earlier() {
+    let mesh = fixtures::field(30, 30, |x, y| (x * 0.3).sin() * (y * 0.2).cos());
+    let options = SimplifyOptions::default();
+    let sequence = collapse(&mesh, &[], None, &options);
+    let budgets = [Budget::Triangles(600), Budget::Triangles(100)];
+    let (direct, _) = levels(&mesh, &[], &sequence, &mesh, &budgets, &LevelsOptions::default());
+    let half = &direct.levels[0];
+    let onward = collapse(&half.mesh, &half.quadrics, None, &options);
+    let (second, _) =
+        levels(&half.mesh, &half.quadrics, &onward, &mesh, &[Budget::Triangles(100)], &LevelsOptions::default());
+    let (one, two) = (direct.levels[1].error, second.levels[0].error);
+    assert!(two <= 1.5 * one, "in two stages {two}, in one {one}");
+}
+
+#[test]
+fn one_thread_and_four_give_the_same_levels() {
+    let mesh = fixtures::field(40, 30, |x, y| (x * 0.5).sin() + (y * 0.3).cos());
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let sequence = collapse(&mesh, &[], None, &SimplifyOptions::default());
+            let (set, report) =
+                levels(&mesh, &[], &sequence, &mesh, &[Budget::Keep(0.2)], &LevelsOptions::default());
+            (sequence.to_blob(), set.to_blob(), report)
+        })
+    };
+    assert_eq!(run(1), run(4));
+}
+
+#[test]
+fn a_sequence_blob_comes_back_and_no_prefix_or_flip_panics() {
+    let mesh = fixtures::sphere(8, 6);
+    let sequence = collapse(&mesh, &[], None, &SimplifyOptions::default());
+    let blob = sequence.to_blob();
+    assert_eq!(CollapseSequence::from_blob(&blob).unwrap(), sequence);
+    for end in 0..blob.len() {
+        assert!(CollapseSequence::from_blob(&blob[..end]).is_err());
+    }
+    for at in 0..blob.len() {
+        let mut flipped = blob.clone();
+        flipped[at] ^= 0x81;
+        let read: Result<CollapseSequence, BlobError> = CollapseSequence::from_blob(&flipped);
+        if let Ok(read) = read {
+            // A flip that keeps every promise of the blob may still be another mesh's sequence: an error, never a panic.
+            let _ = read.replay(&mesh, read.collapses.len());
+        }
+    }
+}
+
+#[test]
+fn chart_borders_stay_within_half_the_padding() {
+    let mut raw = fixtures::hard_cube(12).into_raw();
+    raw.atlas_uv = raw.uv0.as_ref().map(|uv| uv.iter().map(|t| *t / 6.0).collect());
+    let mesh = Mesh::new(raw).unwrap();
+    let layout = UvLayout { size: 256, padding: 4, chart_count: 6 };
+    let sequence = collapse(&mesh, &[], Some(&layout), &SimplifyOptions::default());
+    assert_eq!(sequence.report().faces_left, 12, "straight chart borders may go: {:?}", sequence.report());
+    // Bend the borders in the layout by more than half the padding: now their points have to stay.
+    let mut raw = mesh.into_raw();
+    if let Some(uv) = &mut raw.atlas_uv {
+        for (i, t) in uv.iter_mut().enumerate() {
+            t.y += if i % 2 == 0 { 6.0 / 256.0 } else { 0.0 };
+        }
+    }
+    let bent = Mesh::new(raw).unwrap();
+    let sequence = collapse(&bent, &[], Some(&layout), &SimplifyOptions::default());
+    assert!(sequence.report().faces_left > 100, "{:?}", sequence.report());
+}
+
+/// Every corner of a level keeps the chart that its face had: a plane whose left and right halves lie in far UVs.
+#[test]
+fn uvs_never_cross_a_chart() {
+    let mut raw = fixtures::field(20, 20, |x, y| (x * 0.4).sin() * (y * 0.5).cos()).into_raw();
+    let old = raw.positions.len();
+    // Split x = 10 into two wedges a point.
+    let mut right_of = vec![u32::MAX; old];
+    for v in 0..old {
+        if raw.positions[v].x == 10.0 {
+            right_of[v] = raw.positions.len() as u32;
+            raw.positions.push(raw.positions[v]);
+        }
+    }
+    for t in &mut raw.triangles {
+        if t.iter().any(|v| raw.positions[*v as usize].x > 10.0) {
+            for v in t.iter_mut().filter(|v| right_of.get(**v as usize).is_some_and(|r| *r != u32::MAX)) {
+                *v = right_of[*v as usize];
+            }
+        }
+    }
+    let side = |v: usize, p: glam::Vec3| if p.x > 10.0 || v >= old { 100.0 } else { 0.0 };
+    raw.uv0 =
+        Some(raw.positions.iter().enumerate().map(|(v, p)| glam::Vec2::new(p.x + side(v, *p), p.y)).collect());
+    raw.points.clear();
+    let mesh = Mesh::new(raw).unwrap();
+    assert!(Topology::new(&mesh).kinds.contains(&PointKind::Seam));
+    let (level, _) = cut(&mesh, Budget::Triangles(60));
+    let uv = level.uv0.as_ref().unwrap();
+    for t in &level.triangles {
+        let sides = t.map(|v| uv[v as usize].x > 60.0);
+        assert!(sides[0] == sides[1] && sides[1] == sides[2], "a face has corners in two charts");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(60))]
+
+    /// Random soups over few points: fans, bow ties, duplicates, degenerate faces, both windings.
+    #[test]
+    fn soups_never_panic_and_every_cut_is_sound(
+        faces in prop::collection::vec((0_u32..14, 0_u32..14, 0_u32..14), 1..60),
+        keep in 0.0_f64..1.0,
+    ) {
+        let triangles: Vec<[u32; 3]> = faces.iter().map(|(a, b, c)| [*a, *b, *c]).collect();
+        let mesh = fixtures::soup(&triangles);
+        let (mesh, _) = crate::merge::merge(&mesh, &Default::default());
+        if mesh.face_count() > 0 {
+            let sequence = collapse(&mesh, &[], None, &SimplifyOptions::default());
+            let count = (keep * sequence.collapses.len() as f64) as usize;
+            let level = sequence.replay(&mesh, count).unwrap();
+            prop_assert_eq!(level.face_count() as u32, sequence.faces_after(count));
+            for f in 0..level.face_count() as u32 {
+                let [a, b, c] = level.face_points(kiln_asset::FaceId(f));
+                prop_assert!(a != b && b != c && c != a);
+            }
+        }
+    }
+
+    /// No face that stays turns farther in one collapse than the turn limit.
+    #[test]
+    fn no_face_turns_farther_than_the_limit(seed in 0_u32..1000) {
+        let noise = move |x: f32, y: f32| {
+            let word = (x as u32).wrapping_mul(73_856_093) ^ (y as u32).wrapping_mul(19_349_663) ^ seed.wrapping_mul(83_492_791);
+            (word.wrapping_mul(2_654_435_761) >> 20) as f32 / 4096.0 * 0.6
+        };
+        let mesh = fixtures::field(6, 6, noise);
+        let sequence = collapse(&mesh, &[], None, &SimplifyOptions::default());
+        let normals = |count: usize| -> Vec<Option<glam::Vec3>> {
+            let level = sequence.replay(&mesh, count).unwrap();
+            let end = sequence.collapses.get(count).map_or(sequence.faces.len(), |c| c.first_face as usize);
+            let mut of_level = (0..level.face_count() as u32).map(|f| {
+                let [a, b, c] = level.face_positions(kiln_asset::FaceId(f));
+                (b - a).cross(c - a).normalize()
+            });
+            let gone = &sequence.faces[..end];
+            (0..mesh.face_count() as u32).map(|f| if gone.contains(&f) { None } else { of_level.next() }).collect()
+        };
+        let mut before = normals(0);
+        for count in 1..=sequence.collapses.len() {
+            let after = normals(count);
+            for (f, (old, new)) in before.iter().zip(&after).enumerate() {
+                if let (Some(old), Some(new)) = (old, new) {
+                    prop_assert!(old.dot(*new) > 0.249, "face {} turned in collapse {}", f, count);
+                }
+            }
+            before = after;
+        }
+    }
+}
+
+/// A strip of quads closed with a twist has one side: windings must disagree somewhere.
+#[test]
+fn a_moebius_strip_is_simplified_without_a_panic() {
+    let n = 40_u32;
+    let mut raw = RawMesh { submeshes: vec![Default::default()], ..Default::default() };
+    for i in 0..n {
+        let turn = i as f32 / n as f32 * std::f32::consts::TAU;
+        let across = glam::Vec3::new((turn / 2.0).cos() * turn.cos(), (turn / 2.0).sin(), (turn / 2.0).cos() * turn.sin());
+        let centre = glam::Vec3::new(turn.cos(), 0.0, turn.sin()) * 3.0;
+        raw.positions.extend([centre - across, centre + across]);
+    }
+    for i in 0..n {
+        let (a, b) = (2 * i, 2 * i + 1);
+        let (c, d) = if i + 1 == n { (1, 0) } else { (a + 2, b + 2) };
+        raw.triangles.extend([[a, b, c], [b, d, c]]);
+    }
+    raw.face_submesh = vec![kiln_asset::SubmeshId(0); raw.triangles.len()];
+    raw.submeshes[0].source_triangles = raw.triangles.len() as u32;
+    let mesh = Mesh::new(raw).unwrap();
+    let (level, report) = cut(&mesh, Budget::Triangles(20));
+    assert!(level.face_count() <= 20 || report.short.is_some(), "{report:?}");
+}

@@ -1,0 +1,123 @@
+//! Pictures against pictures.
+//!
+//! Source: P. Lindstrom, G. Turk, Image-driven simplification, ACM TOG 19(3), 2000, doi:10.1145/353981.353995 (the RMS over
+//! all pixels of all views), here over RGB on the 0..255 scale.
+
+use crate::MeasureError;
+use crate::render::Picture;
+
+/// How far pictures of two models, view by view, are apart.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImageError {
+    /// Root of the mean square over all pixels and channels of all views, codes 0..255.
+    pub rmse: f64,
+    /// Mean over the views of each view's RMSE.
+    pub rmse_mean: f64,
+    /// RMSE of the worst view.
+    pub rmse_worst: f64,
+    /// RMSE over the pixels that either model covers: the figure to compare between models.
+    pub rmse_object: f64,
+    /// Peak signal-to-noise ratio of `rmse`, dB; infinite for equal pictures.
+    pub psnr: f64,
+    /// Coverage that differs, as a share of the reference's coverage.
+    pub silhouette_xor: f64,
+    /// Coverage in common over coverage of either; 1 where neither covers anything.
+    pub silhouette_iou: f64,
+    /// RMSE of each view.
+    pub per_view: Vec<f64>,
+}
+
+/// Compares the pictures of `other` with those of `reference`, pair by pair.
+///
+/// # Errors
+/// The lists differ in length or a pair in size.
+pub fn image_error(reference: &[Picture], other: &[Picture]) -> Result<ImageError, MeasureError> {
+    if reference.len() != other.len() {
+        return Err(MeasureError::ViewCount { reference: reference.len(), other: other.len() });
+    }
+    let (mut per_view, mut object_sum, mut object_count) = (Vec::new(), 0.0, 0u64);
+    let (mut all_sum, mut all_count) = (0.0, 0u64);
+    let (mut differing, mut of_reference, mut common, mut either) = (0.0, 0.0, 0.0, 0.0);
+    for (view, (r, o)) in reference.iter().zip(other).enumerate() {
+        if (r.width, r.height) != (o.width, o.height) {
+            return Err(MeasureError::PictureSize {
+                view,
+                reference_width: r.width,
+                reference_height: r.height,
+                width: o.width,
+                height: o.height,
+            });
+        }
+        let mut sum = 0.0;
+        for (k, (a, b)) in r.codes.iter().zip(&o.codes).enumerate() {
+            let square = (*a - *b).as_dvec3().length_squared();
+            sum += square;
+            let (ca, cb) = (r.coverage[k] as f64, o.coverage[k] as f64);
+            if ca > 0.0 || cb > 0.0 {
+                object_sum += square;
+                object_count += 3;
+            }
+            differing += (ca - cb).abs();
+            of_reference += ca;
+            common += ca.min(cb);
+            either += ca.max(cb);
+        }
+        let count = 3 * r.codes.len() as u64;
+        per_view.push((sum / count.max(1) as f64).sqrt());
+        all_sum += sum;
+        all_count += count;
+    }
+    let rmse = (all_sum / all_count.max(1) as f64).sqrt();
+    Ok(ImageError {
+        rmse,
+        rmse_mean: per_view.iter().sum::<f64>() / per_view.len().max(1) as f64,
+        rmse_worst: per_view.iter().fold(0.0, |worst: f64, e| worst.max(*e)),
+        rmse_object: (object_sum / object_count.max(1) as f64).sqrt(),
+        psnr: 20.0 * kiln_geom::math::ln64(255.0 / rmse) / std::f64::consts::LN_10,
+        silhouette_xor: differing / of_reference.max(1e-9),
+        silhouette_iou: if either > 0.0 { common / either } else { 1.0 },
+        per_view,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+
+    fn picture(codes: [f32; 4], coverage: [f32; 4]) -> Picture {
+        Picture { width: 2, height: 2, codes: codes.map(Vec3::splat).to_vec(), coverage: coverage.to_vec() }
+    }
+
+    #[test]
+    fn known_differences_give_known_errors() {
+        let a = picture([10.0, 20.0, 30.0, 40.0], [1.0, 1.0, 0.0, 0.0]);
+        let b = picture([10.0, 24.0, 30.0, 40.0], [1.0, 0.5, 0.0, 0.25]);
+        let error = image_error(&[a.clone(), a.clone()], &[b, a]).expect("pairs");
+        assert_eq!(error.per_view, [2.0, 0.0]);
+        assert_eq!(error.rmse, 2f64.sqrt());
+        assert_eq!((error.rmse_mean, error.rmse_worst), (1.0, 2.0));
+        // 16 x 3 over (3 + 2) pixels x 3 channels.
+        assert_eq!(error.rmse_object, 3.2f64.sqrt());
+        assert_eq!(error.silhouette_xor, 0.75 / 4.0);
+        assert_eq!(error.silhouette_iou, 3.5 / 4.25);
+        assert!((error.psnr - 20.0 * (255.0 / 2f64.sqrt()).log10()).abs() < 1e-9);
+    }
+
+    #[test]
+    fn equal_pictures_are_infinitely_good() {
+        let a = picture([1.0, 2.0, 3.0, 4.0], [1.0; 4]);
+        let error = image_error(std::slice::from_ref(&a), std::slice::from_ref(&a)).expect("pairs");
+        assert_eq!((error.rmse, error.rmse_object, error.silhouette_xor, error.silhouette_iou), (0.0, 0.0, 0.0, 1.0));
+        assert_eq!(error.psnr, f64::INFINITY);
+    }
+
+    #[test]
+    fn pictures_that_do_not_pair_are_refused() {
+        let a = picture([0.0; 4], [0.0; 4]);
+        let wide = Picture { width: 4, height: 1, ..a.clone() };
+        assert_eq!(image_error(&[a.clone()], &[]), Err(MeasureError::ViewCount { reference: 1, other: 0 }));
+        let error = image_error(&[a], &[wide]).expect_err("sizes differ");
+        assert_eq!(error.to_string(), "view 0: 2x2 against 4x1 pixels");
+    }
+}

@@ -1,0 +1,145 @@
+//! Container bytes back to asset values: geometry bit for bit, textures as their largest mip.
+
+use bytemuck::pod_read_unaligned;
+use kiln_asset::{
+    AlphaMode, Filter, ImageFormat, ImageId, ImageInfo, Level, LodSet, MapRole, Material, MaterialId, MaterialSet,
+    Mesh, Raster, RawMesh, Sampler, Submesh, SubmeshId, Texture, TextureId, TextureRef, UvLayout, Wrap,
+};
+use kiln_format::{AlignedBytes, Container, LevelView, SlotRecord, record::NONE};
+
+use crate::PackError;
+use crate::pack::attribute_set;
+
+/// The levels, materials and pictures of a container. `images[i]` of the material set is `rasters[i]`.
+///
+/// Geometry equals what was packed bit for bit. Points are welded anew within each submesh; error forms are gone, and textures
+/// and images are numbered by the container.
+///
+/// # Errors
+/// Bytes that are no sound container, and UV transforms, which materials here cannot say.
+pub fn unpack(bytes: &[u8]) -> Result<(LodSet, MaterialSet, Vec<Raster>), PackError> {
+    let aligned = AlignedBytes::copy_of(bytes);
+    unpack_container(&Container::open(&aligned)?)
+}
+
+/// [`unpack`] of an open container, which must have all its levels and mips at hand.
+///
+/// # Errors
+/// As for [`unpack`].
+pub fn unpack_container(container: &Container<'_>) -> Result<(LodSet, MaterialSet, Vec<Raster>), PackError> {
+    let (materials, rasters) = materials(container)?;
+    let submeshes: Vec<Submesh> = container
+        .submeshes()
+        .iter()
+        .map(|record| Submesh {
+            name: container.string(record.name).to_string(),
+            material: (record.material != NONE).then_some(MaterialId(record.material)),
+            attributes: attribute_set(record.attributes),
+            source_triangles: record.source_triangles,
+        })
+        .collect();
+    let mut levels = Vec::new();
+    for lod in 0..container.level_records().len() {
+        let view = container.level(lod).ok_or_else(|| absent("levels", lod))?;
+        let mesh = Mesh::new(raw_mesh(&view, &submeshes)).map_err(|error| PackError::Mesh { level: lod, error })?;
+        levels.push(Level { mesh, error: view.record.error, quadrics: Vec::new() });
+    }
+    let header = container.level_header();
+    let layout = (header.has_layout == 1).then_some(UvLayout {
+        size: header.layout_size,
+        padding: header.layout_padding,
+        chart_count: header.layout_charts,
+    });
+    Ok((LodSet { levels, layout, source_triangles: header.source_triangles }, materials, rasters))
+}
+
+fn absent(what: &str, number: usize) -> PackError {
+    PackError::Unsupported(format!("{what}[{number}] is not in the bytes at hand"))
+}
+
+fn raw_mesh(view: &LevelView<'_>, submeshes: &[Submesh]) -> RawMesh {
+    fn own<A, B: From<A>>(values: Option<&[A]>) -> Option<Vec<B>>
+    where
+        A: Copy,
+    {
+        values.map(|values| values.iter().map(|value| B::from(*value)).collect())
+    }
+    let indices: Vec<u32> = view.indices().iter().collect();
+    let mut face_submesh = Vec::with_capacity(indices.len() / 3);
+    for (number, range) in view.ranges.iter().enumerate() {
+        face_submesh.extend((0..range.index_count / 3).map(|_| SubmeshId(number as u32)));
+    }
+    RawMesh {
+        positions: own(Some(view.positions())).unwrap_or_default(),
+        normals: own(view.normals()),
+        tangents: own(view.tangents()),
+        uv0: own(view.uv0()),
+        uv1: own(view.uv1()),
+        atlas_uv: None,
+        colors: own(view.colors()),
+        joints: own(view.joints()),
+        weights: own(view.weights()),
+        points: Vec::new(),
+        triangles: indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect(),
+        face_submesh,
+        submeshes: submeshes.to_vec(),
+    }
+}
+
+fn materials(container: &Container<'_>) -> Result<(MaterialSet, Vec<Raster>), PackError> {
+    let (mut set, mut rasters) = (MaterialSet::default(), Vec::new());
+    for (number, record) in container.textures().iter().enumerate() {
+        let texels = container.mip(number, 0).ok_or_else(|| absent("textures", number))?;
+        let texels = texels.chunks_exact(4).map(pod_read_unaligned).collect();
+        let raster = Raster { width: record.width, height: record.height, texels };
+        let hash = *blake3::hash(&raster.to_blob()).as_bytes();
+        let name = container.string(record.name).to_string();
+        set.images.push(ImageInfo { name, format: ImageFormat::Raster, hash });
+        rasters.push(raster);
+    }
+    for (number, record) in container.materials().iter().enumerate() {
+        let mut material = Material {
+            name: container.string(record.name).to_string(),
+            base_color_factor: record.base_color_factor,
+            metallic_factor: record.metallic_factor,
+            roughness_factor: record.roughness_factor,
+            normal_scale: record.normal_scale,
+            occlusion_strength: record.occlusion_strength,
+            emissive_factor: record.emissive_factor,
+            alpha_mode: [AlphaMode::Opaque, AlphaMode::Mask, AlphaMode::Blend][record.alpha_mode.min(2) as usize],
+            alpha_cutoff: record.alpha_cutoff,
+            double_sided: record.flags & 1 == 1,
+            ..Material::default()
+        };
+        for (role, slot) in MapRole::ALL.into_iter().zip(&record.slots) {
+            if slot.texture == NONE {
+                continue;
+            }
+            if (slot.uv_offset, slot.uv_scale, slot.uv_rotation) != ([0.0; 2], [1.0; 2], 0.0) {
+                let what = format!("the UV transform of materials[{number}].{}", role.name());
+                return Err(PackError::Unsupported(what));
+            }
+            let texture = Texture { image: ImageId(slot.texture), sampler: sampler(slot) };
+            let known = set.textures.iter().position(|t| *t == texture);
+            let id = known.unwrap_or_else(|| {
+                set.textures.push(texture);
+                set.textures.len() - 1
+            });
+            *material.map_mut(role) = Some(TextureRef { texture: TextureId(id as u32), uv_set: slot.uv_set });
+        }
+        set.materials.push(material);
+    }
+    Ok((set, rasters))
+}
+
+fn sampler(slot: &SlotRecord) -> Sampler {
+    let wrap = |number| [Wrap::Repeat, Wrap::MirroredRepeat, Wrap::ClampToEdge][(number as usize).min(2)];
+    let filter = |number| if number == 1 { Filter::Linear } else { Filter::Nearest };
+    Sampler {
+        wrap_u: wrap(slot.wrap_u),
+        wrap_v: wrap(slot.wrap_v),
+        mag: filter(slot.mag),
+        min: filter(slot.min),
+        mip: (slot.mip > 0).then(|| filter(slot.mip - 1)),
+    }
+}

@@ -1,0 +1,109 @@
+//! `pack`: levels, materials and pictures into container bytes.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use kiln_asset::import::{ImageLimits, decode_image};
+use kiln_asset::{ImageFormat, ImageId, Raster};
+use kiln_engine::{Action, ActionError, ContentHash, Context, Outputs, Source};
+use kiln_pack::{PackOptions, Provenance, pack};
+
+use super::{Incoming, StageError, import, json, load_images, load_materials, params};
+use crate::foreign;
+use crate::language::StageSettings;
+use crate::language::options;
+
+/// Raised whenever the same input and parameters give other bytes.
+pub(crate) const VERSION: u32 = 1;
+
+/// What the container says of its making, beside its inputs.
+#[derive(Clone)]
+pub(crate) struct MadeBy {
+    /// The pipeline as it holds for the asset, every default filled.
+    pub(crate) pipeline: ContentHash,
+    /// Stages in order: id and semantic version.
+    pub(crate) stages: Vec<(String, String)>,
+    /// The GPU that baked, if one did.
+    pub(crate) device_class: Option<String>,
+}
+
+/// Output: `container`.
+pub(crate) fn action(
+    id: String,
+    label: String,
+    options: &options::PackOptions,
+    levels: Source,
+    materials: usize,
+    inputs: Source,
+    made_by: MadeBy,
+) -> Action {
+    let stages: String = made_by.stages.iter().map(|(id, version)| format!("{id} {version}; ")).collect();
+    let made = made_by.clone();
+    let mut action = Action::new(id, "pack", VERSION, move |context| run(context, &made))
+        .input("levels", levels)
+        .input("materials", Source::output(materials, "materials"))
+        .input("images", Source::outputs(materials, "image/"))
+        .input("inputs", inputs);
+    action.label = label;
+    action.params = params(&StageSettings::Pack(options.clone()), &[]);
+    // The container tells these, so they are part of what it is made from.
+    action = action.param("pipeline", made_by.pipeline).param("stages", stages).param("tool", TOOL);
+    if let Some(class) = made_by.device_class {
+        action = action.param("device", class);
+    }
+    action.foreign = vec![foreign::GLAM.into(), foreign::IMAGE.into()];
+    action.numeric_class = Some(foreign::NUMERIC_CLASS.into());
+    action
+}
+
+/// The tool's name in provenance.
+const TOOL: &str = concat!("kiln ", env!("CARGO_PKG_VERSION"));
+
+fn run(context: &Context<'_>, made_by: &MadeBy) -> Result<Outputs, ActionError> {
+    let levels = Incoming::load(context, "levels")?.into_levels();
+    let materials = load_materials(context, "materials")?;
+    let images = load_images(context, &materials)?;
+    let inputs = import::inputs_from_blob(&context.input("inputs")?).map_err(StageError::Blob)?;
+    let provenance = Provenance {
+        pipeline: made_by.pipeline.0,
+        tool: TOOL.into(),
+        numeric_class: foreign::NUMERIC_CLASS.into(),
+        device_class: made_by.device_class.clone().unwrap_or_default(),
+        inputs,
+        stages: made_by.stages.clone(),
+    };
+    let pictures = Pictures::new(&images, materials.images.iter().map(|i| i.format).collect());
+    let decode = |image: ImageId| pictures.get(image);
+    let (bytes, report) =
+        pack(&levels, &materials, &decode, &provenance, &PackOptions::default()).map_err(StageError::Pack)?;
+    Ok(Outputs::new().with("container", bytes).report(json(&report)))
+}
+
+/// Pictures decoded when they are first asked for.
+pub(crate) struct Pictures<'a> {
+    encoded: &'a [Arc<[u8]>],
+    formats: Vec<ImageFormat>,
+    decoded: Mutex<BTreeMap<ImageId, Arc<Raster>>>,
+}
+
+impl<'a> Pictures<'a> {
+    pub(crate) fn new(encoded: &'a [Arc<[u8]>], formats: Vec<ImageFormat>) -> Pictures<'a> {
+        Pictures { encoded, formats, decoded: Mutex::default() }
+    }
+
+    /// The picture, or why it cannot be had.
+    pub(crate) fn get(&self, image: ImageId) -> Result<Arc<Raster>, String> {
+        let mut decoded = self.decoded.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = decoded.get(&image) {
+            return Ok(Arc::clone(known));
+        }
+        let (Some(bytes), Some(format)) = (self.encoded.get(image.index()), self.formats.get(image.index())) else {
+            return Err(format!("there is no image {image}"));
+        };
+        let raster = match format {
+            ImageFormat::Raster => Raster::from_blob(bytes).map_err(|e| e.to_string())?,
+            _ => decode_image(*format, bytes, &ImageLimits::default()).map_err(|e| e.to_string())?,
+        };
+        Ok(Arc::clone(decoded.entry(image).or_insert(Arc::new(raster))))
+    }
+}

@@ -1,0 +1,137 @@
+//! `kiln inspect`, `kiln check`, `kiln export`.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use kiln_pack::{ExportLevels, InspectReport, export_container_glb, inspect as inspect_bytes};
+use serde_json::json;
+
+use super::args::{CheckArgs, ExportArgs, InspectArgs};
+use super::{complain, data, read};
+use crate::exit::Exit;
+use crate::summary;
+
+/// Shows what is in a container.
+pub(super) fn inspect(args: &InspectArgs) -> Exit {
+    let bytes = match read(&args.file) {
+        Ok(bytes) => bytes,
+        Err(exit) => return exit,
+    };
+    match inspect_bytes(&bytes) {
+        Ok(report) if args.json => {
+            data(&serde_json::to_string_pretty(&report).expect("invariant: a report is plain data"))
+        }
+        Ok(report) => data(&text(&args.file, &report)),
+        Err(error) => complain(Exit::Failed, &format!("{}: {error}", args.file.display())),
+    }
+}
+
+fn text(file: &Path, report: &InspectReport) -> String {
+    let mut out = String::new();
+    let size = summary::bytes(report.file_length);
+    let _ = writeln!(out, "{}: container {}, {size}, {} source triangles", file.display(), report.version, report.source_triangles);
+    for level in &report.levels {
+        let share = 100.0 * f64::from(level.triangles) / f64::from(report.source_triangles.max(1));
+        let _ = writeln!(
+            out,
+            "  level {}: {} triangles ({share:.1} %), {} vertices, error {:.3e} m ({}), {} ({:.1} bytes a triangle), with {}",
+            level.lod,
+            level.triangles,
+            level.vertices,
+            level.error,
+            level.error_kind,
+            summary::bytes(level.bytes),
+            level.bytes_per_triangle.unwrap_or(f64::NAN),
+            level.arrays.join(", "),
+        );
+    }
+    for (number, submesh) in report.submeshes.iter().enumerate() {
+        let of_levels: Vec<String> = report.levels.iter().map(|l| l.submesh_triangles[number].to_string()).collect();
+        let material = submesh.material.and_then(|m| report.materials.get(m as usize)).map_or("-", |m| m.name.as_str());
+        let _ = writeln!(
+            out,
+            "  submesh {}: {} source triangles, in levels {}, material {material}",
+            submesh.name,
+            submesh.source_triangles,
+            of_levels.join(" ")
+        );
+    }
+    for texture in &report.textures {
+        let _ = writeln!(
+            out,
+            "  texture {}: {} x {}, {}, {} mips, {}, {}",
+            texture.name,
+            texture.width,
+            texture.height,
+            texture.format,
+            texture.mips,
+            summary::bytes(texture.bytes),
+            texture.roles.join(", ")
+        );
+    }
+    if let Some(made) = &report.provenance {
+        let _ = writeln!(out, "  made by {}, numeric class {}, device {}", made.tool, made.numeric_class, or_none(&made.device_class));
+        for (stage, version) in &made.stages {
+            let _ = writeln!(out, "    stage {stage}: {version}");
+        }
+        for (input, hash) in &made.inputs {
+            let _ = writeln!(out, "    input {input}: {hash}");
+        }
+    }
+    out
+}
+
+fn or_none(text: &str) -> &str {
+    if text.is_empty() { "none" } else { text }
+}
+
+/// Checks a container: exit 0 or 2, each finding with its code.
+pub(super) fn check(args: &CheckArgs) -> Exit {
+    let bytes = match read(&args.file) {
+        Ok(bytes) => bytes,
+        Err(exit) => return exit,
+    };
+    let report = kiln_format::check(&bytes);
+    let exit = if report.is_sound() { Exit::Done } else { Exit::Failed };
+    if args.json {
+        let findings: Vec<_> = report
+            .findings
+            .iter()
+            .map(|f| json!({ "code": f.code.name(), "path": f.place, "message": f.to_string() }))
+            .collect();
+        let value = json!({ "file": args.file.display().to_string(), "sound": findings.is_empty(), "findings": findings });
+        return exit.max(data(&format!("{value:#}")));
+    }
+    for finding in &report.findings {
+        eprintln!("error: {}: {finding}", args.file.display());
+    }
+    if exit == Exit::Done {
+        eprintln!("{}: sound, {} bytes", args.file.display(), bytes.len());
+    }
+    exit
+}
+
+/// Writes a level, or all, as GLB: beside and renamed, so that a failure leaves no half of it.
+pub(super) fn export(args: &ExportArgs) -> Exit {
+    let bytes = match read(&args.file) {
+        Ok(bytes) => bytes,
+        Err(exit) => return exit,
+    };
+    let which = if args.all { ExportLevels::All } else { ExportLevels::One(args.level) };
+    let (glb, report) = match export_container_glb(&bytes, which) {
+        Ok(result) => result,
+        Err(error) => return complain(Exit::Failed, &format!("{}: {error}", args.file.display())),
+    };
+    for note in &report.notes {
+        eprintln!("note: {note}");
+    }
+    let mut beside = args.output.clone().into_os_string();
+    beside.push(format!(".{}.part", std::process::id()));
+    let written = std::fs::write(&beside, &glb).and_then(|()| std::fs::rename(&beside, &args.output));
+    if let Err(error) = written {
+        let _ = std::fs::remove_file(&beside);
+        return complain(Exit::Failed, &format!("cannot write {}: {error}", args.output.display()));
+    }
+    eprintln!("{}: {}", args.output.display(), summary::bytes(glb.len() as u64));
+    Exit::Done
+}

@@ -14,7 +14,7 @@
 //!         payload:  arrays tile their section, indices below the vertex count, boxes the smallest
 //! check:  the same walk, all findings instead of the first
 //! ```
-//! Reading order: [`record`] (the bytes), [`kind`] (registries), `envelope`, `content` (the checks), [`container`], [`write`],
+//! Reading order: [`record`] (the bytes), [`kind`] (registries), `envelope`, `content` (the checks), [`container`], [`mod@write`],
 //! [`error`] (one code a check).
 //!
 //! **Limits.** `open` reads every byte once (hashes and indices); a lazy mode and a mapped file wait for the runtime's own

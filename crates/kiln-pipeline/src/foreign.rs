@@ -8,8 +8,6 @@ macro_rules! version {
 
 /// Vectors.
 pub(crate) const GLAM: &str = version!("glam", "GLAM");
-/// glTF's JSON.
-pub(crate) const GLTF_JSON: &str = version!("gltf-json", "GLTF_JSON");
 /// PNG and JPEG.
 pub(crate) const IMAGE: &str = version!("image", "IMAGE");
 /// Transcendental functions.
@@ -22,6 +20,8 @@ pub(crate) const SERDE_JSON: &str = version!("serde_json", "SERDE_JSON");
 pub(crate) const UVUNWRAP: &str = version!("uvunwrap", "UVUNWRAP");
 /// Tangents.
 pub(crate) const MIKKTSPACE: &str = version!("bevy_mikktspace", "BEVY_MIKKTSPACE");
+/// The other unwrapper.
+pub(crate) const XATLAS: &str = version!("xatlas-rs-v2", "XATLAS_RS_V2");
 /// The GPU.
 pub(crate) const WGPU: &str = version!("wgpu", "WGPU");
 
@@ -31,5 +31,11 @@ pub(crate) const NUMERIC_CLASS: &str = "rust-ieee754-le";
 
 /// The classes and crates that a container's provenance names.
 pub(crate) fn all() -> [&'static str; 9] {
-    [MIKKTSPACE, GLAM, GLTF_JSON, IMAGE, LIBM, OBVHS, SERDE_JSON, UVUNWRAP, WGPU]
+    [MIKKTSPACE, GLAM, IMAGE, LIBM, OBVHS, SERDE_JSON, UVUNWRAP, WGPU, XATLAS]
+}
+
+/// Where the results of C++ are bit-identical: its compiler may use the target's maths and instructions.
+pub(crate) fn cxx_class() -> String {
+    let libc = if cfg!(target_env = "musl") { "musl" } else { "system libc" };
+    format!("c++ {} {} {libc}, no contraction", std::env::consts::ARCH, std::env::consts::OS)
 }

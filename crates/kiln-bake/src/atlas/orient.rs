@@ -25,9 +25,9 @@ pub(super) fn orient(mut charts: UnwrapOutput, input: &UnwrapInput) -> Result<Un
         return Err(AtlasDefect::Unplaced { count: unplaced.len(), input_face: *first });
     }
     if chart_areas(&charts).iter().sum::<f64>() > 0.0 {
-        let top = charts.corners.as_flattened().iter().map(|uv| uv.y).fold(0.0f32, f32::max).ceil();
+        // About the sheet's middle, so that the space kept to its edges stays.
         for uv in charts.corners.as_flattened_mut() {
-            uv.y = top - uv.y;
+            uv.y = input.size as f32 - uv.y;
         }
     }
     let areas = chart_areas(&charts);

@@ -241,7 +241,7 @@ options! {
         /// Texels that each chart grows into the padding after the transfer.
         "dilation" => dilation: u32, default(8), within 0..=256;
         /// Greatest distance of the high mesh from the low one that is still carried over.
-        "cage" => cage: Length, default(Length::diag(0.02));
+        "cage" => cage: Option<Length>, derived("0.02 diag, or twice the finest level's error if that is more");
         later {
             /// Keeps the model's own layout beside the atlas.
             "keep-source-uv";

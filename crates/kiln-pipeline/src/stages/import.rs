@@ -25,7 +25,7 @@ pub(crate) fn action(id: String, label: String, model: &str) -> Action {
         .param("format", extension)
         .input("model", Source::file(model));
     action.label = label;
-    action.foreign = [foreign::GLAM, foreign::GLTF_JSON, foreign::IMAGE, foreign::SERDE_JSON].map(Into::into).into();
+    action.foreign = [foreign::GLAM, foreign::IMAGE, foreign::SERDE_JSON].map(Into::into).into();
     action.numeric_class = Some(foreign::NUMERIC_CLASS.into());
     action.discovers = Some(folder.to_owned());
     action

@@ -76,12 +76,15 @@ fn cut(context: &Context<'_>, options: &options::SimplifyOptions) -> Result<Outp
             LevelBudget::Error(length) => Budget::Error(length.resolve(diagonal)),
         })
         .collect();
-    let (cut, report) = levels(&finest.mesh, &sequence, &source, &budgets, &LevelsOptions::default());
+    let (cut, report) =
+        levels(&finest.mesh, &finest.quadrics, &sequence, &source, &budgets, &LevelsOptions::default());
     let levels = cut
         .levels
         .into_iter()
         .map(|mut level| {
-            if options.normals == Normals::Rebuild || needs_normals(&level.mesh) {
+            if options.normals == Normals::Rebuild {
+                level.mesh = normals::rebuild_all(&level.mesh, options.normal_angle as f32);
+            } else if needs_normals(&level.mesh) {
                 level.mesh = normals::rebuild(&level.mesh, options.normal_angle as f32);
             }
             level

@@ -27,5 +27,6 @@ fn decoded(texel: [u8; 4]) -> glam::Vec3 {
 }
 
 fn degrees(a: glam::Vec3, b: glam::Vec3) -> f32 {
-    kiln_geom::math::acos(a.normalize().dot(b.normalize())).to_degrees()
+    // By sine and cosine: the arc cosine alone turns rounding near 1 into hundredths of a degree.
+    kiln_geom::math::atan2(a.cross(b).length(), a.dot(b)).to_degrees()
 }

@@ -59,7 +59,7 @@ pub(super) fn sphere(columns: u32, rows: u32) -> RawMesh {
     let positions = raw.positions.clone();
     raw.triangles.retain(|t| {
         let [a, b, c] = t.map(|v| positions[v as usize]);
-        (b - a).cross(c - a).length() > 1e-9
+        (b - a).cross(c - a).length() > 1e-6
     });
     raw.face_submesh = vec![SubmeshId(0); raw.triangles.len()];
     raw
@@ -108,6 +108,7 @@ pub(super) fn both(mut a: RawMesh, b: RawMesh) -> RawMesh {
     a.face_submesh.extend(b.face_submesh);
     let (Some(an), Some(bn)) = (&mut a.normals, b.normals) else { panic!("models have normals") };
     an.extend(bn);
+    a.points.clear();
     a
 }
 

@@ -76,7 +76,8 @@ fn a_corpus_model_exports_to_a_valid_glb() {
     let Some(model) = corpus("gltf/FlightHelmet/FlightHelmet.gltf") else { return };
     let space = Space::new();
     space.write("pipeline.toml", crate::corpus::levels_pipeline(&model));
-    space.run(["build", "pipeline.toml", "--backend", "cpu"]).expect(0);
+    // Two percent of this model is out of reach, which is said and ends with 1.
+    space.run(["build", "pipeline.toml", "--backend", "cpu"]).expect(1);
     space.run(["export", "levels.kiln", "--all", "-o", "all.glb"]).expect(0);
     validate(&space, "all.glb");
 }

@@ -19,7 +19,8 @@ fn torus(columns: u32, rows: u32, bump: f32) -> Result<Mesh, Box<dyn Error>> {
         let r = 0.4 + bump * sin(12.0 * a) * sin(5.0 * b);
         Vec3::new((1.0 + r * cos(b)) * cos(a), r * sin(b), -(1.0 + r * cos(b)) * sin(a))
     };
-    let mut raw = RawMesh { submeshes: vec![Submesh { name: "torus".into(), ..Submesh::default() }], ..RawMesh::default() };
+    let mut raw =
+        RawMesh { submeshes: vec![Submesh { name: "torus".into(), ..Submesh::default() }], ..RawMesh::default() };
     let mut normals = Vec::new();
     for j in 0..rows {
         for i in 0..columns {
@@ -46,7 +47,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let atlas = AtlasOptions { size, padding: 8, ..AtlasOptions::default() };
     let (level, layout, _) = unwrap(&level, &atlas, &Uvunwrap::default())?;
     let low = LodSet { source_triangles: high.face_count() as u32, layout: Some(layout), levels: vec![level] };
-    let options = BakeOptions { maps: vec![MapRole::Normal], space: NormalSpace::Object, size, ..BakeOptions::default() };
+    let options =
+        BakeOptions { maps: vec![MapRole::Normal], space: NormalSpace::Object, size, ..BakeOptions::default() };
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
         let mut seconds = Vec::new();

@@ -29,7 +29,13 @@ impl Gpu {
         self.filled(label, bytemuck::bytes_of(value), wgpu::BufferUsages::UNIFORM, limit)
     }
 
-    fn filled(&self, label: &str, bytes: &[u8], usage: wgpu::BufferUsages, limit: u64) -> Result<wgpu::Buffer, GpuError> {
+    fn filled(
+        &self,
+        label: &str,
+        bytes: &[u8],
+        usage: wgpu::BufferUsages,
+        limit: u64,
+    ) -> Result<wgpu::Buffer, GpuError> {
         let needed = (bytes.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
         if needed > limit {
             return Err(GpuError::TooLarge { what: label.to_owned(), needed, limit, unit: "bytes" });
@@ -140,9 +146,7 @@ impl Gpu {
         let mapped = buffer.get_mapped_range(..).map_err(|e| lost(e.to_string()))?;
         let mut texels = Vec::with_capacity((width * height) as usize);
         for line in mapped.chunks_exact(row as usize).take(height as usize) {
-            texels.extend(
-                line.as_chunks::<4>().0.iter().take(width as usize).map(|b| u32::from_le_bytes(*b)),
-            );
+            texels.extend(line.as_chunks::<4>().0.iter().take(width as usize).map(|b| u32::from_le_bytes(*b)));
         }
         Ok(texels)
     }

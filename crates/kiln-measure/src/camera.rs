@@ -57,7 +57,7 @@ impl Camera {
     pub fn perspective(direction: Vec3, sphere: Sphere, degrees: f64) -> Camera {
         let parallel = Camera::orthographic(direction, sphere);
         let half = (degrees.clamp(1.0, 150.0) * 0.5).to_radians();
-    X
+        let distance = parallel.half_extent / kiln_geom::math::sin64(half);
         Camera { half_extent: kiln_geom::math::tan64(half) * distance, distance: Some(distance), ..parallel }
     }
 

@@ -77,11 +77,13 @@ impl Build {
         }
     }
 
+    fn cache_folder(&self) -> PathBuf {
+        self.cache.clone().unwrap_or_else(|| folder_of(&self.pipeline).join(".kiln"))
+    }
+
     /// The engine and the digest of all that makes the plan beside files.
     fn engine(&self) -> (Engine, ContentHash) {
-        let root = folder_of(&self.pipeline);
         let name = self.pipeline.file_name().unwrap_or_default().to_string_lossy();
-        let cache = self.cache.clone().unwrap_or_else(|| root.join(".kiln"));
         let current = std::env::current_dir().unwrap_or_default();
         let has_paths = self.sets.iter().any(|set| set.starts_with("asset."));
         let key = format!(
@@ -92,7 +94,7 @@ impl Build {
             self.sets,
             has_paths.then_some(current)
         );
-        (Engine::open(cache, &name), ContentHash::of(key.as_bytes()))
+        (Engine::open(self.cache_folder(), &name), ContentHash::of(key.as_bytes()))
     }
 
     fn plan(&self) -> Result<Planned, PlanError> {
@@ -113,7 +115,9 @@ impl Build {
         let start = std::time::Instant::now();
         let (mut engine, key) = self.engine();
         let root = folder_of(&self.pipeline);
+        // Where there is no cache yet there is nothing to find, and a broken pipeline shall not leave one behind.
         if !self.dry_run
+            && self.cache_folder().is_dir()
             && let Some(note) = engine.fast_noop_check(&root, &key)
             && let Ok(mut summary) = serde_json::from_slice::<Summary>(&note)
         {

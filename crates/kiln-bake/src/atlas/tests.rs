@@ -498,24 +498,9 @@ fn a_scanned_animal_unwraps_without_a_second_try() {
         eprintln!("skipped: needs KILN_CORPUS");
         return;
     };
-    let text = std::fs::read_to_string(std::path::Path::new(&corpus).join("scans/spot.obj")).expect("spot.obj");
-    let mut shape = Shape::default();
-    for line in text.lines() {
-        let mut words = line.split_whitespace();
-        match words.next() {
-            Some("v") => {
-                let c: Vec<f32> = words.map(|w| w.parse().expect("number")).collect();
-                shape.positions.push(Vec3::from_slice(&c));
-            }
-            Some("f") => {
-                let index = |w: &str| w.split('/').next().and_then(|i| i.parse::<u32>().ok()).expect("index") - 1;
-                let v: Vec<u32> = words.map(index).collect();
-                shape.triangles.extend((2..v.len()).map(|k| [v[0], v[k - 1], v[k]]));
-            }
-            _ => {}
-        }
-    }
-    let (_, report) = unwrapped(&shape.level(), &options(1024, 8));
+    let folder = kiln_asset::import::Folder(std::path::Path::new(&corpus).join("gltf"));
+    let (asset, _) = kiln_asset::import::import(&folder, "Spot.glb", &Default::default()).expect("Spot.glb");
+    let (_, report) = unwrapped(&level(asset.mesh), &options(1024, 8));
     assert_eq!(report.unwrapper, "uvunwrap");
     assert!(report.charts < 100 && report.stretch < 1.2 && report.coverage > 0.5, "{report:?}");
 }

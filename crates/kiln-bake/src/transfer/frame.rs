@@ -131,12 +131,7 @@ impl Sheet {
                     return;
                 }
                 *owner = face as u32 + 1;
-                rect = Rect {
-                    x0: rect.x0.min(x),
-                    y0: rect.y0.min(y),
-                    x1: rect.x1.max(x + 1),
-                    y1: rect.y1.max(y + 1),
-                };
+                rect = Rect { x0: rect.x0.min(x), y0: rect.y0.min(y), x1: rect.x1.max(x + 1), y1: rect.y1.max(y + 1) };
             });
             if rect.x1 == 0 {
                 rect = Rect { x0: 0, y0: 0, x1: 0, y1: 0 };

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::candidates::{FALLBACK, Search};
 use super::frame::{Frame, Sheet};
 
-/// Pairs in one draw. 2^21 pairs are 16 MiB; larger draws gain nothing and smaller ones cost a submission each.
+/// Pairs in one draw: 16 MiB, below every device's binding limit; smaller draws cost a submission each.
 const PAIRS_A_DRAW: usize = 1 << 21;
 
 /// Low faces whose pairs are gathered at once: bounds what waits between the gathering and the draw.
@@ -28,6 +28,16 @@ struct Pass {
 
 /// As [`super::mirrored_vertex::hits`], on `gpu`.
 pub(crate) fn hits(gpu: &Gpu, sheet: &Sheet, search: &Search<'_>) -> Result<(Vec<u32>, u64), GpuError> {
+    hits_in_draws_of(PAIRS_A_DRAW, gpu, sheet, search)
+}
+
+/// [`hits`] with at most `most` pairs in a draw.
+pub(super) fn hits_in_draws_of(
+    most: usize,
+    gpu: &Gpu,
+    sheet: &Sheet,
+    search: &Search<'_>,
+) -> Result<(Vec<u32>, u64), GpuError> {
     let pass = HitPass::new(gpu, sheet, search)?;
     let mut pairs: Vec<[u32; 2]> = Vec::new();
     let mut total = 0;
@@ -46,10 +56,11 @@ pub(crate) fn hits(gpu: &Gpu, sheet: &Sheet, search: &Search<'_>) -> Result<(Vec
             pairs.extend(of_face);
         }
         // Any cut will do: depth and ids stay between draws, and pairs stay in order.
-        while pairs.len() >= PAIRS_A_DRAW {
-            pass.draw(&pairs[..PAIRS_A_DRAW])?;
-            pairs.drain(..PAIRS_A_DRAW);
+        let whole = pairs.len() - pairs.len() % most;
+        for draw in pairs[..whole].chunks(most) {
+            pass.draw(draw)?;
         }
+        pairs.drain(..whole);
     }
     pass.draw(&pairs)?;
     Ok((gpu.read_id_picture(&pass.ids)?, total))
@@ -110,7 +121,11 @@ impl<'a> HitPass<'a> {
                         depth_slice: None,
                         resolve_target: None,
                         ops: wgpu::Operations {
-                            load: if clear { wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT) } else { wgpu::LoadOp::Load },
+                            load: if clear {
+                                wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT)
+                            } else {
+                                wgpu::LoadOp::Load
+                            },
                             store: wgpu::StoreOp::Store,
                         },
                     })],

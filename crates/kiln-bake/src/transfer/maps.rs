@@ -105,7 +105,8 @@ impl<'a> RoleSource<'a> {
         match self.role {
             MapRole::BaseColor => {
                 let color = self.color(hit, submesh);
-                let [r, g, b, a]: [f32; 4] = std::array::from_fn(|c| texel[c] * material.base_color_factor[c] * color[c]);
+                let [r, g, b, a]: [f32; 4] =
+                    std::array::from_fn(|c| texel[c] * material.base_color_factor[c] * color[c]);
                 [r, g, b, alpha(a, material, group)]
             }
             MapRole::MetallicRoughness => {

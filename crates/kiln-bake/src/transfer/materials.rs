@@ -1,8 +1,8 @@
 //! The materials after the bake: one for each (alpha mode, sidedness) in use, all on the same sheets.
 
 use kiln_asset::{
-    AlphaMode, Filter, ImageFormat, ImageId, ImageInfo, MapRole, Material, MaterialId, MaterialSet, Mesh, Raster, Sampler,
-    Texture, TextureId, TextureRef, Wrap,
+    AlphaMode, Filter, ImageFormat, ImageId, ImageInfo, MapRole, Material, MaterialId, MaterialSet, Mesh, Raster,
+    Sampler, Texture, TextureId, TextureRef, Wrap,
 };
 
 /// Which new material each submesh of the low mesh gets.
@@ -53,7 +53,12 @@ fn common<T: PartialEq>(mut values: impl Iterator<Item = T>) -> Option<T> {
 
 /// The new set: `maps` are its images, one texture each, clamped at the edge and mip-mapped. A factor whose map was baked is
 /// neutral; another one stays where all materials of the group agree and is neutral where they do not.
-pub(crate) fn new_set(low: &Mesh, old: &MaterialSet, groups: &Groups, maps: &[(MapRole, String, Raster)]) -> MaterialSet {
+pub(crate) fn new_set(
+    low: &Mesh,
+    old: &MaterialSet,
+    groups: &Groups,
+    maps: &[(MapRole, String, Raster)],
+) -> MaterialSet {
     let clamped = Sampler {
         wrap_u: Wrap::ClampToEdge,
         wrap_v: Wrap::ClampToEdge,

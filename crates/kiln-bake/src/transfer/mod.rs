@@ -82,8 +82,11 @@ pub fn bake(
     let (asked, neutral): (Vec<MapRole>, Vec<MapRole>) =
         MapRole::ALL.iter().filter(|r| options.maps.contains(r)).partition(|r| !is_neutral(**r, &used));
     let mut report = hits.report.clone();
-    report.lost_maps =
-        MapRole::ALL.iter().copied().filter(|r| !asked.contains(r) && used.iter().any(|m| m.map(*r).is_some())).collect();
+    report.lost_maps = MapRole::ALL
+        .iter()
+        .copied()
+        .filter(|r| !asked.contains(r) && used.iter().any(|m| m.map(*r).is_some()))
+        .collect();
     report.short_padding = short_padding(low, options);
     report.neutral_maps = neutral;
     report.maps.clone_from(&asked);
@@ -95,9 +98,13 @@ pub fn bake(
         // One role after another: only its pictures are in memory.
         let source = RoleSource::new(role, high, materials, images)?;
         let mut raster = hits.picture(role, &source, &groups, options)?;
+        let object = role == MapRole::Normal && options.space == NormalSpace::Object;
+        if role == MapRole::Normal && !object {
+            let texels = raster.texels.iter().zip(&covered);
+            report.behind = texels.filter(|(t, covered)| **covered && t[2] < 127).count() as u64;
+        }
         let filled = dilation::dilate(&mut raster, &covered, &inside, options.dilation, kind_of(role));
         report.dilated = filled.dilated;
-        let object = role == MapRole::Normal && options.space == NormalSpace::Object;
         let name = if object { "normal (object space)" } else { role.name() };
         maps.push((role, name.to_owned(), raster));
     }
@@ -140,7 +147,8 @@ pub fn find_hits<'a>(
     backend: Backend<'_>,
 ) -> Result<HitBuffer<'a>, BakeError> {
     let size = options.size;
-    let out_of_range = |name, found: String, expected: &str| BakeError::Option { name, found, expected: expected.into() };
+    let out_of_range =
+        |name, found: String, expected: &str| BakeError::Option { name, found, expected: expected.into() };
     if size == 0 || size > BakeOptions::SIZE_MAX {
         return Err(out_of_range("size", size.to_string(), &format!("1 to {} texels", BakeOptions::SIZE_MAX)));
     }

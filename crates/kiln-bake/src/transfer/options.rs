@@ -41,7 +41,7 @@ pub struct BakeOptions {
     pub dilation: u32,
     /// Cage distance: how far from a low triangle's plane the high mesh is looked for, object units. `None`: 2 % of the
     /// high mesh's diagonal or twice the finest level's error, whichever is more. Nearest hits make a generous distance
-    /// cheap in quality; it costs candidates. 1 % missed a few texels on thin parts at 1 % of the triangles.
+    /// cheap in quality; it costs candidates.
     pub cage: Option<f32>,
     /// Which hit wins.
     pub hit: HitRule,
@@ -109,6 +109,9 @@ pub struct BakeReport {
     pub sliver_faces: u64,
     /// Pairs of a low and a high face that were looked at.
     pub pairs: u64,
+    /// Texels of a tangent-space normal map whose normal lies behind the low mesh's shading normal: right only where the
+    /// reader keeps a negative z; many of them say that the low mesh's normals are poor.
+    pub behind: u64,
     /// Maps written.
     pub maps: Vec<MapRole>,
     /// Maps asked for that no material says anything in.

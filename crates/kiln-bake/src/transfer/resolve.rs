@@ -57,11 +57,7 @@ impl Plane {
     fn new([q0, q1, q2]: [DVec2; 3]) -> Option<Plane> {
         let (e1, e2) = (q1 - q0, q2 - q0);
         let area = e1.perp_dot(e2);
-        let plane = Plane {
-            corner: q0,
-            row1: DVec2::new(e2.y, -e2.x) / area,
-            row2: DVec2::new(-e1.y, e1.x) / area,
-        };
+        let plane = Plane { corner: q0, row1: DVec2::new(e2.y, -e2.x) / area, row2: DVec2::new(-e1.y, e1.x) / area };
         (plane.row1.is_finite() && plane.row2.is_finite()).then_some(plane)
     }
 
@@ -83,16 +79,7 @@ impl Plane {
 impl<'a> Locator<'a> {
     pub(crate) fn new(low: &'a Mesh, high: &'a Mesh, atlas_uv: &'a [Vec2], size: u32) -> Locator<'a> {
         let none = usize::MAX;
-        Locator {
-            low,
-            high,
-            atlas_uv,
-            size,
-            low_face: none,
-            low_map: None,
-            high_face: none,
-            high_map: Plane::EDGE_ON,
-        }
+        Locator { low, high, atlas_uv, size, low_face: none, low_map: None, high_face: none, high_map: Plane::EDGE_ON }
     }
 
     /// The hit point of texel `(x, y)`, which low face `low` owns and whose hit lies on high face `high`.
@@ -182,9 +169,11 @@ mod tests {
 
     #[test]
     fn encode_is_the_inverse_of_decode_in_skewed_and_mirrored_frames() {
-        let normals = [Vec3::new(0.1, 0.2, 1.0), Vec3::new(-0.3, 0.1, 0.9), Vec3::new(0.0, 0.5, 0.8)].map(Vec3::normalize);
+        let normals =
+            [Vec3::new(0.1, 0.2, 1.0), Vec3::new(-0.3, 0.1, 0.9), Vec3::new(0.0, 0.5, 0.8)].map(Vec3::normalize);
         for sign in [1.0, -1.0] {
-            let tangents = [Vec4::new(1.0, 0.0, -0.1, sign), Vec4::new(0.9, 0.3, 0.1, sign), Vec4::new(0.8, -0.5, 0.0, sign)];
+            let tangents =
+                [Vec4::new(1.0, 0.0, -0.1, sign), Vec4::new(0.9, 0.3, 0.1, sign), Vec4::new(0.8, -0.5, 0.0, sign)];
             let frame = TangentFrame::new(normals, tangents, [0.2, 0.5, 0.3]);
             for n in kiln_geom::sample::fibonacci_sphere(200) {
                 let back = frame.decode(frame.encode(n));

@@ -62,9 +62,8 @@ impl Pyramid {
         };
         let (x, fx) = split(uv.x, raster.width);
         let (y, fy) = split(uv.y, raster.height);
-        let row = |y: i64| {
-            lerp(self.texel(level, x, y, sampler), self.texel(level, x.saturating_add(1), y, sampler), fx)
-        };
+        let row =
+            |y: i64| lerp(self.texel(level, x, y, sampler), self.texel(level, x.saturating_add(1), y, sampler), fx);
         lerp(row(y), row(y.saturating_add(1)), fy)
     }
 

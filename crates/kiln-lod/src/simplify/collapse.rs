@@ -76,7 +76,10 @@ pub(super) struct Collapser<'a> {
     stamp: u32,
     heap: Heap,
     target: Vec<u32>,
+    /// `[point_count]`: a rule forbade a cheaper target than the present one.
+    passed_over: Vec<bool>,
     star: Vec<u32>,
+    ring: Vec<u32>,
     map: Vec<[u32; 2]>,
     blocked: [u32; RULE_COUNT],
     faces_left: u32,
@@ -137,7 +140,9 @@ impl<'a> Collapser<'a> {
             stamp: 0,
             heap: Heap::new(points),
             target: vec![NONE; points],
+            passed_over: vec![false; points],
             star: Vec::new(),
+            ring: Vec::new(),
             map: Vec::new(),
             blocked: [0; RULE_COUNT],
             faces_left: mesh.face_count() as u32,
@@ -153,6 +158,7 @@ impl<'a> Collapser<'a> {
             self.blocked = [0; RULE_COUNT];
             let before = self.out.collapses.len();
             for p in 0..self.positions.len() as u32 {
+                self.gather(p);
                 self.price(p, None);
             }
             while self.faces_left > floor {
@@ -226,7 +232,7 @@ impl<'a> Collapser<'a> {
         error + self.options.length_weight * step.length_squared() * form.weight
     }
 
-    /// Sets `p`'s cheapest target dearer than `above`, or takes it out of the heap.
+    /// Sets the cheapest target dearer than `above` of `p`, whose star was gathered, or takes it out of the heap.
     fn price(&mut self, p: u32, above: Option<(f64, u32)>) {
         let kind = self.topology.kinds[p as usize];
         let mut best: Option<(f64, u32)> = None;
@@ -240,7 +246,7 @@ impl<'a> Collapser<'a> {
         match moves(kind) {
             Moves::Never => {}
             Moves::AlongLine => {
-                if self.head[p as usize] != NONE {
+                if !self.star.is_empty() {
                     for to in self.topology.lines[p as usize] {
                         if to != NONE {
                             offer(self, to);
@@ -249,16 +255,13 @@ impl<'a> Collapser<'a> {
                 }
             }
             Moves::Anywhere => {
-                let mut corner = self.head[p as usize];
-                while corner != NONE {
-                    if self.alive[corner as usize / 3] {
-                        // In a closed fan every neighbour is the first of exactly one face's others.
-                        offer(self, self.others(corner)[0]);
-                    }
-                    corner = self.next[corner as usize];
+                for i in 0..self.star.len() {
+                    // In a closed fan every neighbour is the first of exactly one face's others.
+                    offer(self, self.others(self.star[i])[0]);
                 }
             }
         }
+        self.passed_over[p as usize] = above.is_some();
         match best {
             Some((cost, to)) => {
                 self.target[p as usize] = to;
@@ -491,13 +494,44 @@ impl<'a> Collapser<'a> {
         self.gather(to);
         self.stamp += 1;
         let stamp = self.stamp;
-        self.price(to, None);
+        let mut ring = std::mem::take(&mut self.ring);
+        ring.clear();
         for i in 0..self.star.len() {
             for p in self.others(self.star[i]) {
                 if self.mark[p as usize] != stamp {
                     self.mark[p as usize] = stamp;
-                    self.price(p, None);
+                    ring.push(p);
                 }
+            }
+        }
+        self.price(to, None);
+        for p in &ring {
+            self.price_again(*p, from, to);
+        }
+        self.ring = ring;
+    }
+
+    /// Sets the cheapest target of `p`, beside which `from` went to `to`. Only the cost of going to `to` has changed, so its other
+    /// targets are looked at only if the one it had is among them, or if it stood at a dearer one because a rule forbade the
+    /// cheapest (which may be legal now).
+    fn price_again(&mut self, p: u32, from: u32, to: u32) {
+        let target = self.target[p as usize];
+        match self.heap.cost(p) {
+            Some(cost) if target != from && target != to && !self.passed_over[p as usize] => {
+                let offered = self.cost(p, to);
+                let may = match moves(self.topology.kinds[p as usize]) {
+                    Moves::Anywhere => true,
+                    Moves::AlongLine => self.topology.lines[p as usize].contains(&to),
+                    Moves::Never => false,
+                };
+                if may && offered.total_cmp(&cost).then(to.cmp(&target)).is_lt() {
+                    self.target[p as usize] = to;
+                    self.heap.set(p, offered);
+                }
+            }
+            _ => {
+                self.gather(p);
+                self.price(p, None);
             }
         }
     }

@@ -50,6 +50,12 @@ impl Heap {
         }
     }
 
+    /// The cost of `point`, if it is in.
+    pub(super) fn cost(&self, point: u32) -> Option<f64> {
+        let at = self.place[point as usize];
+        if at == NONE { None } else { Some(self.items[at as usize].0) }
+    }
+
     pub(super) fn first(&self) -> Option<(f64, u32)> {
         self.items.first().copied()
     }

@@ -62,13 +62,17 @@ fn tangent_space_read_back_gives_the_object_space_normals_on_mirrored_charts_too
     for layout in [upright as fn(f32, f32) -> Vec2, |x, y| Vec2::new(1.0 - x, 1.0 - y), |x, y| Vec2::new(y, x * 0.5)] {
         let mut raw = plane(0.0, layout).into_raw();
         // Leaning normals: the frame is not the plane's own.
-        raw.normals = Some([Vec3::new(0.3, 0.0, 1.0), Vec3::Z, Vec3::new(-0.2, 0.3, 1.0), Vec3::Z].map(Vec3::normalize).to_vec());
+        raw.normals =
+            Some([Vec3::new(0.3, 0.0, 1.0), Vec3::Z, Vec3::new(-0.2, 0.3, 1.0), Vec3::Z].map(Vec3::normalize).to_vec());
         raw.tangents = None;
         let low = mikktspace(&valid(raw), UvSource::AtlasUv).unwrap();
         let set = one_level(low.clone(), 64, 8);
-        let go = |space| bake(&high, &set, &MaterialSet::default(), &no_images, &normals_only(64, space), Backend::Cpu).unwrap();
+        let go = |space| {
+            bake(&high, &set, &MaterialSet::default(), &no_images, &normals_only(64, space), Backend::Cpu).unwrap()
+        };
         let (tangent, object) = (go(NormalSpace::Tangent).2, go(NormalSpace::Object).2);
-        let hits = crate::transfer::find_hits(&high, &low, 0.1, &normals_only(64, NormalSpace::Object), Backend::Cpu).unwrap();
+        let hits =
+            crate::transfer::find_hits(&high, &low, 0.1, &normals_only(64, NormalSpace::Object), Backend::Cpu).unwrap();
         let mut locator = crate::transfer::resolve::Locator::new(&low, &high, low.atlas_uv.as_ref().unwrap(), 64);
         let mut compared = 0;
         for texel in 0..64 * 64 {
@@ -295,4 +299,18 @@ fn what_is_missing_is_said() {
     assert_eq!(go(&mesh, without(|r| r.tangents = None)), None);
     let nothing = bake(&mesh, &Default::default(), &MaterialSet::default(), &no_images, &options, Backend::Cpu);
     assert!(matches!(nothing, Err(BakeError::NoLevels)));
+}
+
+#[test]
+fn normals_behind_the_shading_normal_are_counted() {
+    let high = valid(hills(8, 0.0, 1.0));
+    let mut raw = plane(0.0, upright).into_raw();
+    // Shading normals that lean down behind the plane they belong to.
+    raw.normals = Some(vec![Vec3::new(0.9, 0.0, -0.3).normalize(); 4]);
+    raw.tangents = None;
+    let low = one_level(valid(raw), 16, 8);
+    let options = normals_only(16, NormalSpace::Tangent);
+    let go = |low| bake(&high, low, &MaterialSet::default(), &no_images, &options, Backend::Cpu).unwrap().3.behind;
+    assert_eq!(go(&low), 256);
+    assert_eq!(go(&one_level(plane(0.0, upright), 16, 8)), 0);
 }

@@ -84,7 +84,9 @@ fn front_and_behind_count_alike_and_equal_distances_go_to_the_lower_face() {
         (raw.uv0, raw.atlas_uv, raw.tangents) = (None, None, None);
         raw
     };
-    for (heights, nearest) in [([0.1, -0.05], 1), ([0.05, -0.1], 0), ([0.1, -0.1], 0), ([-0.1, 0.1], 0), ([0.1, 0.1], 0)] {
+    for (heights, nearest) in
+        [([0.1, -0.05], 1), ([0.05, -0.1], 0), ([0.1, -0.1], 0), ([-0.1, 0.1], 0), ([0.1, 0.1], 0)]
+    {
         let high = valid(both(sheet_at(heights[0]), sheet_at(heights[1])));
         let hits = find_hits(&high, &low, 0.5, &normals_only(16, NormalSpace::Object), Backend::Cpu).unwrap();
         for high_face in &hits.high_faces {
@@ -160,7 +162,9 @@ fn one_and_four_threads_give_the_same_hits() {
 fn options_out_of_range_are_named() {
     let low = plane(0.0, upright);
     let options = |size| normals_only(size, NormalSpace::Object);
-    for (size, cage, name) in [(0, 0.1, "size"), (16385, 0.1, "size"), (8, 0.0, "cage"), (8, f32::NAN, "cage"), (8, -1.0, "cage")] {
+    for (size, cage, name) in
+        [(0, 0.1, "size"), (16385, 0.1, "size"), (8, 0.0, "cage"), (8, f32::NAN, "cage"), (8, -1.0, "cage")]
+    {
         match find_hits(&low, &low, cage, &options(size), Backend::Cpu) {
             Err(BakeError::Option { name: found, .. }) => assert_eq!(found, name),
             _ => panic!("size {size}, cage {cage} went through"),

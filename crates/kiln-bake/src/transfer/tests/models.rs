@@ -126,7 +126,11 @@ pub(super) fn charted(raw: &RawMesh) -> Mesh {
         let corners = if f % 2 == 0 {
             [Vec2::new(margin, margin), Vec2::new(1.0 - 3.0 * margin, margin), Vec2::new(margin, 1.0 - 3.0 * margin)]
         } else {
-            [Vec2::new(1.0 - margin, 1.0 - margin), Vec2::new(3.0 * margin, 1.0 - margin), Vec2::new(1.0 - margin, 3.0 * margin)]
+            [
+                Vec2::new(1.0 - margin, 1.0 - margin),
+                Vec2::new(3.0 * margin, 1.0 - margin),
+                Vec2::new(1.0 - margin, 3.0 * margin),
+            ]
         };
         corners.map(|c| (cell + c) / squares as f32)
     });
@@ -138,11 +142,8 @@ pub(super) fn charted(raw: &RawMesh) -> Mesh {
 /// the atlas.
 pub(super) fn plane(z: f32, layout: impl Fn(f32, f32) -> Vec2) -> Mesh {
     let corners = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)];
-    let mut raw = mesh(
-        corners.iter().map(|(x, y)| Vec3::new(*x, *y, z)).collect(),
-        vec![Vec3::Z; 4],
-        vec![[0, 1, 2], [0, 2, 3]],
-    );
+    let mut raw =
+        mesh(corners.iter().map(|(x, y)| Vec3::new(*x, *y, z)).collect(), vec![Vec3::Z; 4], vec![[0, 1, 2], [0, 2, 3]]);
     let uv: Vec<Vec2> = corners.iter().map(|(x, y)| layout(*x, *y)).collect();
     raw.uv0 = Some(uv.clone());
     raw.atlas_uv = Some(uv);

@@ -84,3 +84,15 @@ fn on_a_device_too_the_lower_face_wins_at_equal_distance() {
     let hits = find_hits(&high, &low, 0.5, &normals_only(64, NormalSpace::Object), Backend::Gpu(&gpu)).unwrap();
     assert!(hits.high_faces.iter().all(|f| (1..=2).contains(f)), "faces 2 and 3 lie in the same place");
 }
+
+#[test]
+fn many_small_draws_give_what_one_draw_gives() {
+    let Some(gpu) = gpu() else { return };
+    let (high, low) = (valid(torus(60, 30, 0.04)), charted(&torus(14, 8, 0.0)));
+    let sheet = crate::transfer::frame::Sheet::new(&low, low.atlas_uv.as_ref().unwrap(), 256);
+    let search = crate::transfer::candidates::Search::new(&high, &low, 0.2, false, true);
+    let draws_of = |most| crate::transfer::gpu::hits_in_draws_of(most, &gpu, &sheet, &search).unwrap();
+    let (ids, pairs) = draws_of(1 << 20);
+    assert!(pairs > 3000, "{pairs}");
+    assert!((ids, pairs) == draws_of(777));
+}

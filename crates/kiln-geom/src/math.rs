@@ -122,7 +122,7 @@ mod tests {
     fn the_bits_are_the_recorded_ones() {
         let bits = [sin(1.0), cos(1.0), tan(1.0), acos(0.25), asin(0.25), atan2(1.0, 2.0), exp(1.0), ln(3.0), pow(2.5, 1.5)]
             .map(f32::to_bits);
-        let near = [0.841471f32, 0.540302, 1.557408, 1.318116, 0.252680, 0.463648, 2.718282, 1.098612, 3.952847];
+        let near = [0.841471f32, 0.540302, 1.557408, 1.318116, 0.252680, 0.463648, std::f32::consts::E, 1.098612, 3.952847];
         for (got, near) in bits.iter().zip(near) {
             assert!((f32::from_bits(*got) - near).abs() < 1e-6, "{} is not near {near}", f32::from_bits(*got));
         }

@@ -53,8 +53,8 @@ pub fn snap(corners: [Vec2; 3]) -> Option<[[i64; 2]; 3]> {
 
 /// Visits every texel of a `width` by `height` picture whose centre the triangle covers, row by row, left to right, with
 /// the barycentric coordinates of the centre (three values in `[0, 1]` that sum to 1 within rounding). Either winding.
-pub fn rasterise(corners: [Vec2; 3], width: u32, height: u32, mut visit: impl FnMut(u32, u32, [f32; 3])) {
-    rasterise_rect(corners, Rect::whole(width, height), |x, y, bary| visit(x, y, bary));
+pub fn rasterise(corners: [Vec2; 3], width: u32, height: u32, visit: impl FnMut(u32, u32, [f32; 3])) {
+    rasterise_rect(corners, Rect::whole(width, height), visit);
 }
 
 /// [`rasterise`] inside a rectangle: the same texels and values as for the whole picture, for tiles and bands.

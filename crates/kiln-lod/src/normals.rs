@@ -78,8 +78,7 @@ fn rebuild_where(mesh: &Mesh, angle: f32, wanted: impl Fn(bool) -> bool) -> Mesh
         if !wanted[mesh.face_submesh[f].index()] {
             continue;
         }
-        for k in 0..3 {
-            let wedge = mesh.triangles[f][k];
+        for (k, wedge) in mesh.triangles[f].into_iter().enumerate() {
             let group = find(&mut leader, (3 * f + k) as u32);
             let mut at = first[wedge as usize];
             while at != NONE && copies[at as usize].0 != group {

@@ -78,7 +78,7 @@ pub fn next(corner: u32) -> u32 {
 /// The corner before `corner` in its face.
 #[inline]
 pub fn previous(corner: u32) -> u32 {
-    if corner % 3 == 0 { corner + 2 } else { corner - 1 }
+    if corner.is_multiple_of(3) { corner + 2 } else { corner - 1 }
 }
 
 /// What the star of a point holds about one of its neighbours.

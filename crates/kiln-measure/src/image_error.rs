@@ -116,7 +116,7 @@ mod tests {
     fn pictures_that_do_not_pair_are_refused() {
         let a = picture([0.0; 4], [0.0; 4]);
         let wide = Picture { width: 4, height: 1, ..a.clone() };
-        assert_eq!(image_error(&[a.clone()], &[]), Err(MeasureError::ViewCount { reference: 1, other: 0 }));
+        assert_eq!(image_error(std::slice::from_ref(&a), &[]), Err(MeasureError::ViewCount { reference: 1, other: 0 }));
         let error = image_error(&[a], &[wide]).expect_err("sizes differ");
         assert_eq!(error.to_string(), "view 0: 2x2 against 4x1 pixels");
     }

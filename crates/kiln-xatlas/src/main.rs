@@ -60,6 +60,7 @@ fn answer(request: &Request) -> Reply {
     let decl = MeshDecl {
         vertex_position_data: MeshData::Contiguous(&positions),
         index_data: Some(IndexData::U32(request.triangles.as_flattened())),
+        face_material_data: Some(&request.groups),
         ..MeshDecl::default()
     };
     let mut xatlas = Xatlas::new();

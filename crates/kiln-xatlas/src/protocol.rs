@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! request: "KXRQ", version u32, size u32, padding u32, point count u32, face count u32,
-//!          positions [points] x 3 f32, triangles [faces] x 3 u32
+//!          positions [points] x 3 f32, triangles [faces] x 3 u32, groups [faces] u32
 //! reply:   "KXRP", version u32, kind u32
 //!     kind 0, charts placed: face count u32, charts [faces] u32, corners [faces] x 3 x 2 f32
 //!     kind 1, does not fit:  chart count u32
@@ -29,7 +29,9 @@ pub enum ProtocolError {
     #[error("not a {0} of kiln-xatlas")]
     WrongMagic(&'static str),
     /// Another version wrote them.
-    #[error("kiln-xatlas protocol version {found}, expected {VERSION}: build kiln and kiln-xatlas from the same sources")]
+    #[error(
+        "kiln-xatlas protocol version {found}, expected {VERSION}: build kiln and kiln-xatlas from the same sources"
+    )]
     WrongVersion {
         /// What they say.
         found: u32,
@@ -58,6 +60,8 @@ pub struct Request {
     pub positions: Vec<[f32; 3]>,
     /// `[face_count] x 3` indices into `positions`.
     pub triangles: Vec<[u32; 3]>,
+    /// `[face_count]`: faces of different groups never share a chart.
+    pub groups: Vec<u32>,
 }
 
 /// What it answers.
@@ -82,13 +86,14 @@ pub enum Reply {
 impl Request {
     const MAGIC: [u8; 4] = *b"KXRQ";
 
-    /// The request as bytes.
+    /// The request as bytes. `groups` has one entry a face.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Self::MAGIC.to_vec();
         let counts = [self.positions.len() as u32, self.triangles.len() as u32];
         put(&mut bytes, [VERSION, self.size, self.padding].into_iter().chain(counts));
         put(&mut bytes, self.positions.as_flattened().iter().map(|c| c.to_bits()));
         put(&mut bytes, self.triangles.as_flattened().iter().copied());
+        put(&mut bytes, self.groups.iter().copied());
         bytes
     }
 
@@ -99,13 +104,14 @@ impl Request {
     pub fn decode(bytes: &[u8]) -> Result<Request, ProtocolError> {
         let mut words = Words::open(bytes, Self::MAGIC, "request")?;
         let [size, padding, points, faces] = words.take()?;
-        words.expect(3 * (u64::from(points) + u64::from(faces)))?;
+        words.expect(3 * u64::from(points) + 4 * u64::from(faces))?;
         let positions: Vec<[f32; 3]> = (0..points).map(|_| words.floats()).collect::<Result<_, _>>()?;
         let triangles: Vec<[u32; 3]> = (0..faces).map(|_| words.take()).collect::<Result<_, _>>()?;
         if let Some(index) = triangles.as_flattened().iter().find(|i| **i >= points) {
             return Err(ProtocolError::Value(format!("point {index} of {points}")));
         }
-        Ok(Request { size, padding, positions, triangles })
+        let groups = (0..faces).map(|_| words.take().map(|[group]| group)).collect::<Result<_, _>>()?;
+        Ok(Request { size, padding, positions, triangles, groups })
     }
 }
 
@@ -220,6 +226,7 @@ mod tests {
             padding: 4,
             positions: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.5, 0.0]],
             triangles: vec![[0, 1, 2], [2, 1, 0]],
+            groups: vec![0, 5],
         }
     }
 

@@ -128,7 +128,7 @@ fn run(
     let (Some(mut input), Some(output), Some(errors)) = pipes else {
         return Err(std::io::Error::other("no pipes").into());
     };
-    // A reply holds 28 bytes a face, a request 12 bytes a face and 12 a point.
+    // A reply holds 28 bytes a face, a request 16 bytes a face and 12 a point.
     let limit = 4 * request.len() as u64 + 65536;
     let deadline = Instant::now() + Duration::from_secs(limits.seconds);
     let request = request.to_vec();
@@ -158,14 +158,15 @@ fn run(
         }
         thread::sleep(POLL);
     };
+    let reply = joined(reader)?;
+    if reply.len() as u64 > limit {
+        // Its status then only says that its pipe was closed.
+        return Err(WorkerError::TooLong { limit });
+    }
     if !status.success() {
         let text = joined(listener).unwrap_or_default();
         let text = String::from_utf8_lossy(&text).trim().to_owned();
         return Err(WorkerError::Failed { status, text });
-    }
-    let reply = joined(reader)?;
-    if reply.len() as u64 > limit {
-        return Err(WorkerError::TooLong { limit });
     }
     writer.join().map_err(|_| std::io::Error::other("the writer panicked"))??;
     Ok(reply)

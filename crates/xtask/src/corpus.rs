@@ -69,7 +69,7 @@ kind = "pack"
 "#;
 
 /// `xtask corpus [NAME...] [--out FILE] [--keep DIR]`.
-pub fn run(root: &Path, args: &[String]) -> Result<(), String> {
+pub(crate) fn run(root: &Path, args: &[String]) -> Result<(), String> {
     let corpus = std::env::var_os("KILN_CORPUS").map(PathBuf::from).ok_or("xtask corpus needs KILN_CORPUS")?;
     let corpus = corpus.canonicalize().map_err(|e| format!("KILN_CORPUS: {e}"))?;
     let mut names = Vec::new();
@@ -191,7 +191,7 @@ fn validate(root: &Path, glb: &Path) -> Option<Result<String, String>> {
 }
 
 /// `xtask long`: what CI has no time for. The log is written to `docs/results/` with date and commit.
-pub fn long(root: &Path, args: &[String]) -> Result<(), String> {
+pub(crate) fn long(root: &Path, args: &[String]) -> Result<(), String> {
     let out = root.join("docs/results/corpus.md");
     let mut passed: Vec<String> = args.to_vec();
     passed.extend(["--out".into(), out.display().to_string()]);

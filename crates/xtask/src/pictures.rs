@@ -15,7 +15,7 @@ use kiln_measure::sheet::{Tile, encode_png, sheet};
 const HELP: &str = "cargo xtask pictures OUT.png MODEL CONTAINER [--size PIXELS] [--level N] [--view YAW,PITCH]...";
 
 /// Renders the sheet: a row a view (degrees; yaw turns the camera to the right around the model, pitch lifts it).
-pub fn run(args: &[String]) -> Result<(), String> {
+pub(crate) fn run(args: &[String]) -> Result<(), String> {
     let mut paths = Vec::new();
     let mut views = Vec::new();
     let (mut size, mut level) = (400_u32, 0_usize);

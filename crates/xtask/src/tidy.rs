@@ -59,7 +59,7 @@ const SYSTEM_BUILDERS: &[&str] =
     &["bindgen", "clang-sys", "cmake", "pkg-config", "nasm-rs", "openssl-sys", "openssl", "vcpkg", "system-deps"];
 
 /// Runs all checks and reports every finding.
-pub fn run(root: &Path) -> Result<(), String> {
+pub(crate) fn run(root: &Path) -> Result<(), String> {
     let metadata = MetadataCommand::new()
         .manifest_path(root.join("Cargo.toml"))
         .other_options(vec!["--locked".into()])

@@ -10,7 +10,7 @@ use kiln_asset::{FaceId, Mesh, UvLayout};
 
 use super::face_list;
 use super::orient::signed_area;
-use super::surface::chartable;
+use super::surface::{Groups, chartable};
 
 /// Depth up to which two faces may dip into each other, texels: above the rounding of 32-bit UVs on the largest sheet
 /// (5e-4), far below what any filter sees.
@@ -222,32 +222,13 @@ fn charts_of(mesh: &Mesh, faces: &[FaceId]) -> Vec<u32> {
     };
     let mut corners: Vec<_> = (0..faces.len()).flat_map(|i| (0..3).map(move |k| (corner(faces[i], k), i))).collect();
     corners.sort_unstable();
-    let mut parent: Vec<usize> = (0..faces.len()).collect();
-    fn root(parent: &mut [usize], mut i: usize) -> usize {
-        while parent[i] != i {
-            parent[i] = parent[parent[i]];
-            i = parent[i];
-        }
-        i
-    }
+    let mut charts = Groups::new(faces.len());
     for pair in corners.windows(2) {
         if pair[0].0 == pair[1].0 {
-            let (a, b) = (root(&mut parent, pair[0].1), root(&mut parent, pair[1].1));
-            parent[a.max(b)] = a.min(b);
+            charts.join(pair[0].1, pair[1].1);
         }
     }
-    let mut number = vec![u32::MAX; faces.len()];
-    let mut next = 0;
-    (0..faces.len())
-        .map(|i| {
-            let slot = &mut number[root(&mut parent, i)];
-            if *slot == u32::MAX {
-                *slot = next;
-                next += 1;
-            }
-            *slot
-        })
-        .collect()
+    charts.numbers().0
 }
 
 /// Least empty texels between two charts (`None` for a single one) and between a chart and the sheet's edge. Gaps are

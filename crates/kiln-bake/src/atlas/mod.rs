@@ -6,7 +6,7 @@
 //! mirrored, none overlapping, at least `padding` empty texels between any two and `padding / 2` to the sheet's edge.
 //!
 //! ```text
-//! surface <- points scaled to unit diagonal and made distinct, degenerate faces set aside, cuts along hard edges
+//! surface <- points at unit scale, once for each fan of faces; degenerate faces set aside; cuts along hard edges
 //! for each rung of the ladder:                  uvunwrap, uvunwrap-strict, planar (or the one that was asked for)
 //!     charts <- rung(surface)                   one UV per corner in texels, one chart per face
 //!     orient charts                             counter-clockwise in the picture (V points down in glTF)
@@ -31,15 +31,15 @@
 //! DOI 10.1111/j.1467-8659.2008.01290.x) are the crate `uvunwrap`'s. The stretch figure is that of Sander, Snyder, Gortler,
 //! Hoppe, "Texture mapping progressive meshes", SIGGRAPH 2001, DOI 10.1145/383259.383307.
 
-mod surface;
-mod uvunwrap;
-mod planar;
-pub mod xatlas;
-mod orient;
-pub(crate) mod wedges;
 pub mod check;
+mod orient;
+mod planar;
+mod surface;
 #[cfg(test)]
 mod tests;
+mod uvunwrap;
+pub(crate) mod wedges;
+pub mod xatlas;
 
 use glam::{Vec2, Vec3};
 use kiln_asset::{FaceId, Level, UvLayout};
@@ -98,10 +98,11 @@ impl AtlasOptions {
     }
 }
 
-/// The surface as an unwrapper gets it: points, not wedges; only faces that can have a chart.
+/// The surface as an unwrapper gets it: places, not wedges; only faces that can have a chart. A place is a point as one fan
+/// of faces around it sees it, so that parts which only touch share none.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct UnwrapInput {
-    /// `[point_count]`, scaled to a bounding box of unit diagonal; no two are bitwise equal, so that unwrappers which weld by
+    /// `[place_count]`, scaled to a bounding box of unit diagonal; no two are bitwise equal, so that unwrappers which weld by
     /// position cannot join what the mesh keeps apart.
     pub positions: Vec<Vec3>,
     /// `[face_count] x 3` indices into `positions`, winding as in the mesh.
@@ -318,7 +319,7 @@ pub fn unwrap(
 }
 
 /// Who is tried, in order: `first`, then what the choice allows.
-fn ladder<'a>(choice: UnwrapperChoice, first: &'a dyn Unwrapper) -> Vec<&'a dyn Unwrapper> {
+fn ladder(choice: UnwrapperChoice, first: &dyn Unwrapper) -> Vec<&dyn Unwrapper> {
     match choice {
         UnwrapperChoice::Auto => vec![first, &Uvunwrap::STRICT, &Planar],
         UnwrapperChoice::Uvunwrap => vec![first, &Uvunwrap::STRICT],

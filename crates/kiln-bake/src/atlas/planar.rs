@@ -73,7 +73,7 @@ fn area_normal(input: &UnwrapInput, face: u32) -> DVec3 {
 }
 
 /// `[face_count] x 3`: the face across each edge, if the edge is uncut, has two faces, and both wind alike.
-fn neighbours(input: &UnwrapInput) -> Vec<[u32; 3]> {
+pub(super) fn neighbours(input: &UnwrapInput) -> Vec<[u32; 3]> {
     let mut neighbours = vec![[NONE; 3]; input.triangles.len()];
     for edge in edges(&input.triangles).chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
         let [(_, _, f, i), (_, _, g, j)] = *edge else { continue };
@@ -158,7 +158,7 @@ fn bounds(corners: &[[DVec2; 3]]) -> (DVec2, DVec2) {
 }
 
 /// Two parts of `faces`: those nearer to `a` and those nearer to `b` (positions in `faces`), counted in steps over edges.
-fn divide(neighbours: &[[u32; 3]], faces: &[u32], a: usize, b: usize) -> [Vec<u32>; 2] {
+pub(super) fn divide(neighbours: &[[u32; 3]], faces: &[u32], a: usize, b: usize) -> [Vec<u32>; 2] {
     let mut order: Vec<u32> = (0..faces.len() as u32).collect();
     order.sort_unstable_by_key(|i| faces[*i as usize]);
     let position = |f: u32| order.binary_search_by_key(&f, |i| faces[*i as usize]).ok().map(|at| order[at] as usize);
@@ -206,8 +206,7 @@ fn pack(charts: &[Chart], input: &UnwrapInput) -> Result<(f64, Vec<DVec2>), Unwr
     let longest = order.iter().map(|i| extent(*i).max_element()).fold(0.0, f64::max);
     // Below a hundredth of a texel for the longest chart there is nothing to look at.
     let (mut low, mut high) = (0.01 / longest, size / longest);
-    let too_many =
-        UnwrapError::DoesNotFit { charts: charts.len() as u32, size: input.size, padding: input.padding };
+    let too_many = UnwrapError::DoesNotFit { charts: charts.len() as u32, size: input.size, padding: input.padding };
     let mut best = place(low).ok_or(too_many)?;
     for _ in 0..BISECTIONS {
         let middle = (low * high).sqrt();

@@ -1,4 +1,4 @@
-//! The surface that unwrappers see: distinct points at unit scale, faces with an area, cuts along hard edges.
+//! The surface that unwrappers see: distinct places at unit scale, faces with an area, cuts along hard edges.
 
 use std::collections::{HashMap, HashSet};
 
@@ -15,6 +15,15 @@ const ALTITUDE_MIN: f64 = 2e-6;
 /// Cosine of the angle between the normals of two wedges beyond which their edge is hard: 30 degrees.
 const HARD_COSINE: f32 = 0.866_025_4;
 
+/// Least cosine between the normals of two faces that are taken for neighbours at an edge of more than two: 60 degrees.
+const PAIR_COSINE: f64 = 0.5;
+
+/// Most faces at one edge among which pairs are sought: the search is quadratic, and beyond this the edge is no surface.
+const PAIRED_FACES_MAX: usize = 64;
+
+/// Cosine between the normals of two faces below which they lie back to back: 172 degrees. No chart crosses such an edge.
+const FOLD_COSINE: f64 = -0.99;
+
 /// A mesh made ready for unwrapping.
 pub(super) struct Surface {
     /// What unwrappers get.
@@ -27,26 +36,108 @@ pub(super) struct Surface {
 
 impl Surface {
     pub(super) fn of(mesh: &Mesh, options: &AtlasOptions) -> Surface {
-        let positions = distinct(&unit_points(mesh));
-        let faces = chartable_faces(mesh, &positions);
-        let triangles = faces.iter().map(|f| mesh.face_points(*f).map(|p| p.0)).collect();
-        let mut input =
-            UnwrapInput { positions, triangles, cuts: Vec::new(), size: options.size, padding: options.padding };
-        let hard_edges;
-        (input.cuts, hard_edges) = cuts(mesh, &faces, &input.triangles);
+        let points = unit_points(mesh);
+        let faces = chartable(mesh);
+        let triangles: Vec<[u32; 3]> = faces.iter().map(|f| mesh.face_points(*f).map(|p| p.0)).collect();
+        let (places, triangles) = fans(&points, &triangles);
+        let positions = distinct(&places);
+        let (cuts, hard_edges) = cuts(mesh, &faces, &triangles);
+        let input = UnwrapInput { positions, triangles, cuts, size: options.size, padding: options.padding };
         Surface { input, faces, hard_edges }
+    }
+}
+
+/// `points` once for every fan of faces that hangs together around one over paired edges, and `triangles` over them: what
+/// only touches (both sides of a leaf, the pages of a book) comes apart. An edge of two faces pairs them
+/// unless they lie back to back; of several at one edge those with opposite directions are paired, the flattest pair first.
+fn fans(points: &[Vec3], triangles: &[[u32; 3]]) -> (Vec<Vec3>, Vec<[u32; 3]>) {
+    let normal = |f: usize| {
+        let [a, b, c] = triangles[f].map(|p| points[p as usize].as_dvec3());
+        (b - a).cross(c - a).normalize_or_zero()
+    };
+    let mut corners = Groups::new(3 * triangles.len());
+    let mut join = |(f, i): (usize, usize), (g, j): (usize, usize)| {
+        let (far, near) = if triangles[f][i] == triangles[g][j] { (j, (j + 1) % 3) } else { ((j + 1) % 3, j) };
+        corners.join(3 * f + i, 3 * g + far);
+        corners.join(3 * f + (i + 1) % 3, 3 * g + near);
+    };
+    for edge in edges(triangles).chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+        if let [(_, _, f, i), (_, _, g, j)] = *edge {
+            if normal(f).dot(normal(g)) > FOLD_COSINE {
+                join((f, i), (g, j));
+            }
+            continue;
+        }
+        if edge.len() > PAIRED_FACES_MAX {
+            continue;
+        }
+        let (onward, back): (Vec<_>, Vec<_>) = edge.iter().partition(|(low, _, f, k)| triangles[*f][*k] == *low);
+        let pair = |a: &(u32, u32, usize, usize), b: &(u32, u32, usize, usize)| {
+            (normal(a.2).dot(normal(b.2)), (a.2, a.3), (b.2, b.3))
+        };
+        let mut pairs: Vec<_> = onward.iter().flat_map(|a| back.iter().map(move |b| pair(a, b))).collect();
+        pairs.retain(|(cosine, ..)| *cosine >= PAIR_COSINE);
+        pairs.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+        let mut taken = HashSet::new();
+        for (_, a, b) in pairs {
+            if !taken.contains(&a) && !taken.contains(&b) {
+                taken.extend([a, b]);
+                join(a, b);
+            }
+        }
+    }
+    let (fan, count) = corners.numbers();
+    let mut places = vec![Vec3::ZERO; count as usize];
+    for (corner, fan) in fan.iter().enumerate() {
+        places[*fan as usize] = points[triangles[corner / 3][corner % 3] as usize];
+    }
+    (places, fan.chunks_exact(3).map(|f| [f[0], f[1], f[2]]).collect())
+}
+
+/// Disjoint groups of things numbered from 0 (union-find; the lowest member stands for its group).
+pub(super) struct Groups(Vec<u32>);
+
+impl Groups {
+    pub(super) fn new(count: usize) -> Groups {
+        Groups((0..count as u32).collect())
+    }
+
+    fn leader(&mut self, mut i: u32) -> u32 {
+        while self.0[i as usize] != i {
+            self.0[i as usize] = self.0[self.0[i as usize] as usize];
+            i = self.0[i as usize];
+        }
+        i
+    }
+
+    pub(super) fn join(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.leader(a as u32), self.leader(b as u32));
+        self.0[a.max(b) as usize] = a.min(b);
+    }
+
+    /// The group of each, numbered by first member, and how many there are.
+    pub(super) fn numbers(mut self) -> (Vec<u32>, u32) {
+        let mut numbers = vec![0; self.0.len()];
+        let mut count = 0;
+        for i in 0..self.0.len() {
+            let leader = self.leader(i as u32) as usize;
+            if leader == i {
+                numbers[i] = count;
+                count += 1;
+            } else {
+                numbers[i] = numbers[leader];
+            }
+        }
+        (numbers, count)
     }
 }
 
 /// The faces that must have a chart: three points, no altitude below [`ALTITUDE_MIN`] of the mesh's diagonal.
 pub(super) fn chartable(mesh: &Mesh) -> Vec<FaceId> {
-    chartable_faces(mesh, &distinct(&unit_points(mesh)))
-}
-
-fn chartable_faces(mesh: &Mesh, positions: &[Vec3]) -> Vec<FaceId> {
+    let places = unit_points(mesh);
     let has_area = |f: &FaceId| {
         let points = mesh.face_points(*f);
-        let [a, b, c] = points.map(|p| positions[p.index()].as_dvec3());
+        let [a, b, c] = points.map(|p| places[p.index()].as_dvec3());
         let longest = (b - a).length().max((c - b).length()).max((a - c).length());
         let distinct = points[0] != points[1] && points[1] != points[2] && points[2] != points[0];
         distinct && (b - a).cross(c - a).length() > ALTITUDE_MIN * longest

@@ -1,96 +1,87 @@
-//! A heap of points ordered by (cost, point), four children a node, in which a point's cost can be changed in place.
+//! A queue of points by (cost, point): four children a node, one 64-bit word an entry, so that a node's children share a
+//! cache line and one comparison orders both.
 
-use crate::topology::NONE;
+/// Least first. Holds entries that are out of date, too: whoever pops one asks the point whether it still stands by that cost.
+pub(super) struct Heap(Vec<u64>);
 
-pub(super) struct Heap {
-    items: Vec<(f64, u32)>,
-    /// `[point_count]`: where each point stands in `items`.
-    place: Vec<u32>,
+/// A cost as 32 bits that are ordered as costs are; below 0 counts as 0. Costs are rounded to f32: equal ones are ordered by point.
+#[inline]
+pub(super) fn rank(cost: f64) -> u32 {
+    (cost.max(0.0) as f32).to_bits()
 }
 
-fn less(a: (f64, u32), b: (f64, u32)) -> bool {
-    match a.0.total_cmp(&b.0) {
-        std::cmp::Ordering::Equal => a.1 < b.1,
-        order => order.is_lt(),
-    }
+/// Where `point` stands in the order with a cost of that rank.
+#[inline]
+pub(super) fn entry(rank: u32, point: u32) -> u64 {
+    u64::from(rank) << 32 | u64::from(point)
 }
 
 impl Heap {
-    pub(super) fn new(points: usize) -> Heap {
-        Heap { items: Vec::with_capacity(points), place: vec![NONE; points] }
+    pub(super) fn new() -> Heap {
+        Heap(Vec::new())
     }
 
-    /// Puts `point` in with `cost`, or changes its cost.
-    pub(super) fn set(&mut self, point: u32, cost: f64) {
-        let at = self.place[point as usize];
-        if at == NONE {
-            self.items.push((cost, point));
-            self.up(self.items.len() - 1);
-        } else {
-            let at = at as usize;
-            let old = self.items[at];
-            self.items[at] = (cost, point);
-            if less((cost, point), old) { self.up(at) } else { self.down(at) }
-        }
+    /// The least entry; greater than all others if there is none.
+    #[inline]
+    pub(super) fn first(&self) -> u64 {
+        self.0.first().copied().unwrap_or(u64::MAX)
     }
 
-    pub(super) fn remove(&mut self, point: u32) {
-        let at = self.place[point as usize];
-        if at == NONE {
-            return;
-        }
-        self.place[point as usize] = NONE;
-        let at = at as usize;
-        let Some(last) = self.items.pop() else { return };
-        if at < self.items.len() {
-            self.items[at] = last;
-            self.place[last.1 as usize] = at as u32;
-            self.up(at);
-            self.down(self.place[last.1 as usize] as usize);
-        }
-    }
-
-    /// The cost of `point`, if it is in.
-    pub(super) fn cost(&self, point: u32) -> Option<f64> {
-        let at = self.place[point as usize];
-        if at == NONE { None } else { Some(self.items[at as usize].0) }
-    }
-
-    pub(super) fn first(&self) -> Option<(f64, u32)> {
-        self.items.first().copied()
-    }
-
-    fn up(&mut self, mut at: usize) {
-        let item = self.items[at];
+    #[inline]
+    pub(super) fn push(&mut self, entry: u64) {
+        let mut at = self.0.len();
+        self.0.push(entry);
         while at > 0 {
             let parent = (at - 1) / 4;
-            if !less(item, self.items[parent]) {
+            if self.0[parent] <= entry {
                 break;
             }
-            self.items[at] = self.items[parent];
-            self.place[self.items[at].1 as usize] = at as u32;
+            self.0[at] = self.0[parent];
             at = parent;
         }
-        self.items[at] = item;
-        self.place[item.1 as usize] = at as u32;
+        self.0[at] = entry;
     }
 
-    fn down(&mut self, mut at: usize) {
-        let item = self.items[at];
+    pub(super) fn pop(&mut self) -> Option<u64> {
+        let last = self.0.pop()?;
+        let Some(first) = self.0.first().copied() else { return Some(last) };
+        let items = &mut self.0[..];
+        let mut at = 0;
         loop {
             let start = 4 * at + 1;
-            let mut least = None;
-            for child in start..(start + 4).min(self.items.len()) {
-                if less(self.items[child], least.map_or(item, |l: usize| self.items[l])) {
-                    least = Some(child);
+            if start >= items.len() {
+                break;
+            }
+            let end = (start + 4).min(items.len());
+            let mut child = start;
+            for i in start + 1..end {
+                if items[i] < items[child] {
+                    child = i;
                 }
             }
-            let Some(child) = least else { break };
-            self.items[at] = self.items[child];
-            self.place[self.items[at].1 as usize] = at as u32;
+            if items[child] >= last {
+                break;
+            }
+            items[at] = items[child];
             at = child;
         }
-        self.items[at] = item;
-        self.place[item.1 as usize] = at as u32;
+        items[at] = last;
+        Some(first)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn entries_come_out_by_cost_and_then_by_point() {
+        let mut heap = Heap::new();
+        let costs = [3.0, 0.5, 0.5, -1.0, 1e30, 0.0, 2.0, 0.5];
+        for (point, cost) in costs.iter().enumerate() {
+            heap.push(entry(rank(*cost), point as u32));
+        }
+        let order: Vec<u32> = std::iter::from_fn(|| heap.pop()).map(|entry| entry as u32).collect();
+        assert_eq!(order, [3, 5, 1, 2, 7, 6, 0, 4]);
     }
 }

@@ -164,9 +164,9 @@ fn uvs_never_cross_a_chart() {
     let old = raw.positions.len();
     // Split x = 10 into two wedges a point.
     let mut right_of = vec![u32::MAX; old];
-    for v in 0..old {
+    for (v, right) in right_of.iter_mut().enumerate() {
         if raw.positions[v].x == 10.0 {
-            right_of[v] = raw.positions.len() as u32;
+            *right = raw.positions.len() as u32;
             raw.positions.push(raw.positions[v]);
         }
     }

@@ -1,14 +1,14 @@
 //! The GPU and its CPU twin bake the same maps, end to end.
 
 use std::f64::consts::PI;
-use std::path::PathBuf;
+use std::path::Path;
 
 use kiln_asset::{MapRole, Raster};
 
 use crate::space::{SMALL, Space, corpus, needs, repository};
 
 /// The object-space normal map of a pipeline's container.
-fn normal_map(model: &PathBuf, backend: &str) -> Raster {
+fn normal_map(model: &Path, backend: &str) -> Raster {
     let space = Space::new();
     let text = SMALL.replace("model.glb", &model.display().to_string());
     let text = text.replace("dilation = 2", "dilation = 0\nspace = \"object\"").replace("256", "512");
@@ -38,7 +38,7 @@ fn angles(a: &Raster, b: &Raster) -> Vec<f64> {
     angles
 }
 
-fn agree(model: &PathBuf) {
+fn agree(model: &Path) {
     let (cpu, gpu) = (normal_map(model, "cpu"), normal_map(model, "gpu"));
     let angles = angles(&cpu, &gpu);
     let mean = angles.iter().sum::<f64>() / angles.len() as f64;

@@ -44,9 +44,18 @@ fn validate(space: &Space, glb: &str) {
     if needs(ready, "Node and `npm ci` in tests/validator").is_none() {
         return;
     }
-    let output =
-        std::process::Command::new("node").arg("validate.mjs").arg(space.path(glb)).current_dir(folder).output().unwrap();
-    assert!(output.status.success(), "{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    let output = std::process::Command::new("node")
+        .arg("validate.mjs")
+        .arg(space.path(glb))
+        .current_dir(folder)
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}{}",
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    );
 }
 
 #[test]

@@ -14,9 +14,8 @@ fn main() {
     for name in NAMES {
         let mut version = "unknown";
         for package in text.split("[[package]]") {
-            let field = |key: &str| {
-                package.lines().find_map(|l| l.strip_prefix(key)?.strip_prefix(" = \"")?.strip_suffix('"'))
-            };
+            let field =
+                |key: &str| package.lines().find_map(|l| l.strip_prefix(key)?.strip_prefix(" = \"")?.strip_suffix('"'));
             if field("name") == Some(name) {
                 version = field("version").unwrap_or("unknown");
             }

@@ -18,8 +18,12 @@ use kiln_lod::merge::{MergeOptions, merge};
 use kiln_lod::simplify::{SimplifyOptions, collapse};
 use rayon::prelude::*;
 
-const MODELS: [&str; 4] =
-    ["scans/stanford-bunny.glb", "scans/armadillo.glb", "gltf/FlightHelmet/FlightHelmet.gltf", "cad/2CylinderEngine.glb"];
+const MODELS: [&str; 4] = [
+    "scans/stanford-bunny.glb",
+    "scans/armadillo.glb",
+    "gltf/FlightHelmet/FlightHelmet.gltf",
+    "cad/2CylinderEngine.glb",
+];
 const KEPT: [f64; 4] = [0.5, 0.25, 0.1, 0.01];
 const SAMPLES: usize = 100_000;
 
@@ -87,7 +91,8 @@ fn compare(model: &str, mesh: &Mesh) {
     for kept in KEPT {
         let faces = (kept * mesh.face_count() as f64) as usize;
         let row = |name: &str, seconds: f64, positions: &[Vec3], triangles: &[[u32; 3]]| {
-            let [mean, greatest] = reference.distance(&Surface::new(positions, triangles)).map(|d| d / reference.diagonal * 1e5);
+            let [mean, greatest] =
+                reference.distance(&Surface::new(positions, triangles)).map(|d| d / reference.diagonal * 1e5);
             let speed = mesh.face_count() as f64 / seconds / 1e6;
             let count = triangles.len();
             say(&format!("  {name:25} {kept:5}  {seconds:11.4}  {speed:6.2}  {count:9}  {mean:7.1}  {greatest:9.0}"));
@@ -148,9 +153,10 @@ struct Surface {
 impl Surface {
     fn new(positions: &[Vec3], triangles: &[[u32; 3]]) -> Surface {
         let samples = SurfaceSamples::new(positions, triangles, SAMPLES, 1);
-        let diagonal = samples.samples.iter().fold([Vec3::INFINITY, -Vec3::INFINITY], |[lo, hi], s| {
-            [lo.min(s.position), hi.max(s.position)]
-        });
+        let diagonal = samples
+            .samples
+            .iter()
+            .fold([Vec3::INFINITY, -Vec3::INFINITY], |[lo, hi], s| [lo.min(s.position), hi.max(s.position)]);
         Surface {
             bvh: Bvh::new(positions, triangles),
             samples: samples.samples.iter().map(|s| s.position).collect(),
@@ -166,7 +172,10 @@ impl Surface {
                 .par_iter()
                 .map(|p| to.bvh.nearest_point(*p).map_or(f64::INFINITY, |near| f64::from(near.distance)))
                 .collect();
-            [distances.iter().sum::<f64>() / distances.len().max(1) as f64, distances.iter().copied().fold(0.0, f64::max)]
+            [
+                distances.iter().sum::<f64>() / distances.len().max(1) as f64,
+                distances.iter().copied().fold(0.0, f64::max),
+            ]
         };
         let (a, b) = (side(self, other), side(other, self));
         [0.5 * (a[0] + b[0]), a[1].max(b[1])]

@@ -120,18 +120,19 @@ mod tests {
     /// so must be noticed.
     #[test]
     fn the_bits_are_the_recorded_ones() {
-        let bits = [sin(1.0), cos(1.0), tan(1.0), acos(0.25), asin(0.25), atan2(1.0, 2.0), exp(1.0), ln(3.0), pow(2.5, 1.5)]
-            .map(f32::to_bits);
-        let near = [0.841471f32, 0.540302, 1.557408, 1.318116, 0.252680, 0.463648, std::f32::consts::E, 1.098612, 3.952847];
+        let bits =
+            [sin(1.0), cos(1.0), tan(1.0), acos(0.25), asin(0.25), atan2(1.0, 2.0), exp(1.0), ln(3.0), pow(2.5, 1.5)]
+                .map(f32::to_bits);
+        let near =
+            [0.841471f32, 0.540302, 1.557408, 1.318116, 0.252680, 0.463648, std::f32::consts::E, 1.098612, 3.952847];
         for (got, near) in bits.iter().zip(near) {
             assert!((f32::from_bits(*got) - near).abs() < 1e-6, "{} is not near {near}", f32::from_bits(*got));
         }
         assert_eq!(bits, RECORDED);
     }
 
-    const RECORDED: [u32; 9] = [
-        1062693540, 1057640768, 1070029091, 1068021767, 1048665934, 1055744824, 1076754516, 1066180436, 1081932658,
-    ];
+    const RECORDED: [u32; 9] =
+        [1062693540, 1057640768, 1070029091, 1068021767, 1048665934, 1055744824, 1076754516, 1066180436, 1081932658];
 
     #[test]
     fn a_dot_product_a_little_above_one_has_an_angle() {

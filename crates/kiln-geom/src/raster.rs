@@ -47,7 +47,8 @@ impl Rect {
 
 /// Coordinates in 1/256 texel; `None` if one is no number.
 pub fn snap(corners: [Vec2; 3]) -> Option<[[i64; 2]; 3]> {
-    let fixed = |v: f32| (v.clamp(-COORDINATE_LIMIT, COORDINATE_LIMIT) as f64 * SUBTEXEL as f64).round_ties_even() as i64;
+    let fixed =
+        |v: f32| (v.clamp(-COORDINATE_LIMIT, COORDINATE_LIMIT) as f64 * SUBTEXEL as f64).round_ties_even() as i64;
     corners.iter().all(|c| !c.is_nan()).then(|| corners.map(|c| [fixed(c.x), fixed(c.y)]))
 }
 

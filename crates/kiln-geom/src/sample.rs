@@ -126,7 +126,14 @@ mod tests {
     #[test]
     fn samples_follow_the_area() {
         // Two right triangles: areas 0.5 and 1.5, and a degenerate one between them.
-        let positions = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::new(0.0, 0.0, 5.0), Vec3::new(3.0, 0.0, 5.0), Vec3::new(0.0, 1.0, 5.0)];
+        let positions = [
+            Vec3::ZERO,
+            Vec3::X,
+            Vec3::Y,
+            Vec3::new(0.0, 0.0, 5.0),
+            Vec3::new(3.0, 0.0, 5.0),
+            Vec3::new(0.0, 1.0, 5.0),
+        ];
         let samples = SurfaceSamples::new(&positions, &[[0, 1, 2], [0, 1, 1], [3, 4, 5]], 4000, 1);
         assert_eq!(samples.area, 2.0);
         let counts = [0, 1, 2].map(|f| samples.samples.iter().filter(|s| s.face == f).count());

@@ -81,7 +81,8 @@ pub(crate) fn sphere(columns: u32, rows: u32) -> Mesh {
 
 /// A cube of `n x n` quads a side, each side with wedges, normals and UVs of its own.
 pub(crate) fn hard_cube(n: u32) -> Mesh {
-    let mut raw = RawMesh { submeshes: vec![Submesh { name: "cube".into(), ..Default::default() }], ..Default::default() };
+    let mut raw =
+        RawMesh { submeshes: vec![Submesh { name: "cube".into(), ..Default::default() }], ..Default::default() };
     let (mut normals, mut uvs) = (Vec::new(), Vec::new());
     let axes = [Vec3::X, Vec3::Y, Vec3::Z];
     for side in 0..6_usize {

@@ -2,10 +2,10 @@
 //!
 //! Reading order: [`topology`] (points, edges and what they are), [`merge`], [`simplify`], [`normals`], [`check`].
 
-pub mod topology;
-pub mod merge;
-pub mod simplify;
-pub mod normals;
 pub mod check;
 #[cfg(test)]
 mod fixtures;
+pub mod merge;
+pub mod normals;
+pub mod simplify;
+pub mod topology;

@@ -97,8 +97,7 @@ impl Topology {
     /// The topology of `mesh`.
     pub fn new(mesh: &Mesh) -> Topology {
         let point_count = mesh.point_count();
-        let face_points: Vec<[u32; 3]> =
-            mesh.triangles.iter().map(|t| t.map(|v| mesh.points[v as usize].0)).collect();
+        let face_points: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.map(|v| mesh.points[v as usize].0)).collect();
         let (first, corners) = corners_at_points(&face_points, point_count);
         let face_count = face_points.len();
         let mut topology = Topology {
@@ -281,7 +280,9 @@ fn edge_kind(mesh: &Mesh, spoke: &Spoke) -> EdgeKind {
             let (out, into) = (spoke.out_corner, spoke.in_corner);
             if mesh.face_submesh[out as usize / 3] != mesh.face_submesh[into as usize / 3] {
                 EdgeKind::Boundary
-            } else if !same_chart(mesh, wedge(out), wedge(next(into))) || !same_chart(mesh, wedge(next(out)), wedge(into)) {
+            } else if !same_chart(mesh, wedge(out), wedge(next(into)))
+                || !same_chart(mesh, wedge(next(out)), wedge(into))
+            {
                 EdgeKind::Seam
             } else {
                 EdgeKind::Manifold

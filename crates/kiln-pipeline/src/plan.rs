@@ -108,7 +108,9 @@ impl PlanError {
     /// Whether all that is wrong is something that this version does not offer.
     pub fn is_unsupported(&self) -> bool {
         match self {
-            PlanError::Pipeline { diagnostics, .. } => diagnostics.iter().all(|d| d.code.family() == Family::Unsupported),
+            PlanError::Pipeline { diagnostics, .. } => {
+                diagnostics.iter().all(|d| d.code.family() == Family::Unsupported)
+            }
             _ => false,
         }
     }
@@ -121,8 +123,7 @@ impl PlanError {
 pub fn plan(pipeline: &Path, options: &PlanOptions) -> Result<Planned, PlanError> {
     let root = folder_of(pipeline);
     let name = pipeline.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let text = fs::read_to_string(pipeline)
-        .map_err(|source| PlanError::Io { path: pipeline.to_path_buf(), source })?;
+    let text = fs::read_to_string(pipeline).map_err(|source| PlanError::Io { path: pipeline.to_path_buf(), source })?;
     let read_base = |relative: &str| fs::read_to_string(root.join(relative));
     let loaded = language::load(&name, &text, &options.sets, &read_base);
     let sources = loaded.sources;
@@ -142,7 +143,8 @@ pub fn plan(pipeline: &Path, options: &PlanOptions) -> Result<Planned, PlanError
     warnings.extend(expansion.diagnostics);
 
     let backend = stages::open_backend(options.backend, &pipeline).map_err(PlanError::Gpu)?;
-    let mut planner = Planner { plan: Plan { root: root.clone(), ..Plan::default() }, backend, xatlas: &options.xatlas };
+    let mut planner =
+        Planner { plan: Plan { root: root.clone(), ..Plan::default() }, backend, xatlas: &options.xatlas };
     let mut assets = Vec::new();
     for build in &expansion.builds {
         let resolved = pipeline
@@ -254,13 +256,13 @@ impl Planner<'_> {
                 StageSettings::Simplify(options) => {
                     let collapse_id = format!("{id}/collapse");
                     let collapse_label = format!("{label}, collapse");
-                    let collapse = stages::simplify::collapse_action(collapse_id, collapse_label, options, before.source());
+                    let collapse =
+                        stages::simplify::collapse_action(collapse_id, collapse_label, options, before.source());
                     let collapse = self.push(collapse);
                     actions.push((collapse, format!("{}, collapse", stage.id)));
                     let source = source_mesh(stage, &resolved.stages, &results, import);
                     let sequence = Source::output(collapse, "sequence");
-                    let levels =
-                        stages::simplify::levels_action(id, label, options, before.source(), sequence, source);
+                    let levels = stages::simplify::levels_action(id, label, options, before.source(), sequence, source);
                     Placed { action: self.push(levels), output: "levels", ..before }
                 }
                 StageSettings::Atlas(options) => {

@@ -5,8 +5,8 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use kiln_engine::{
-    ActionError, ActionState, BuildOptions, BuildReport, ContentHash, Engine, EngineError, Event, Noop, Observer, TargetState,
-    Verdict,
+    ActionError, ActionState, BuildOptions, BuildReport, ContentHash, Engine, EngineError, Event, Noop, Observer,
+    TargetState, Verdict,
 };
 use kiln_pipeline::language::{Diagnostic, Sources};
 use kiln_pipeline::plan::{PlanError, PlanOptions, Planned, folder_of, plan};

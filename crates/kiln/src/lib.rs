@@ -14,12 +14,12 @@
 //! of exit codes), [`worker`] (the child process around xatlas), `command` (the command line, behind the feature `cli`).
 
 pub mod build;
-pub mod summary;
-pub mod exit;
-pub mod memory;
-pub mod worker;
 #[cfg(feature = "cli")]
 pub mod command;
+pub mod exit;
+pub mod memory;
+pub mod summary;
+pub mod worker;
 
 pub use build::{Build, BuildError, Outcome, WhyOutcome, why};
 pub use exit::Exit;

@@ -109,7 +109,9 @@ impl Summary {
                         (StageState::WouldRun, reason) => {
                             format!("would run: {}", reason.as_deref().unwrap_or_default())
                         }
-                        (StageState::Depends, reason) => format!("depends on {}", reason.as_deref().unwrap_or_default()),
+                        (StageState::Depends, reason) => {
+                            format!("depends on {}", reason.as_deref().unwrap_or_default())
+                        }
                         (StageState::Failed, _) => "FAILED".into(),
                         (StageState::Skipped, _) => "skipped".into(),
                     },
@@ -162,7 +164,8 @@ fn levels(report: &Value) -> impl Iterator<Item = &Value> {
 
 /// The triangles of a stage's result, finest level first.
 fn triangles(report: &Value) -> String {
-    let of_levels: Vec<String> = levels(report).filter_map(|l| l["triangles"].as_u64()).map(|n| n.to_string()).collect();
+    let of_levels: Vec<String> =
+        levels(report).filter_map(|l| l["triangles"].as_u64()).map(|n| n.to_string()).collect();
     if of_levels.is_empty() {
         return report["triangles"].as_u64().map(|n| n.to_string()).unwrap_or_default();
     }

@@ -126,7 +126,8 @@ fn shader_twins(root: &Path, findings: &mut Vec<String>) {
         let text = fs::read_to_string(&path).unwrap_or_default();
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let opening = text.lines().take_while(|l| l.starts_with("//")).collect::<Vec<_>>().join(" ");
-        let twin = opening.split_whitespace().map(|w| w.trim_matches(['`', '.', ',', ';'])).find(|w| w.ends_with(".rs"));
+        let twin =
+            opening.split_whitespace().map(|w| w.trim_matches(['`', '.', ',', ';'])).find(|w| w.ends_with(".rs"));
         match twin {
             Some(twin) if !twin.ends_with(&format!("/{stem}.rs")) => {
                 findings.push(format!("shader {stem}: its twin {twin} has another stem"));

@@ -7,8 +7,9 @@ use super::surface::Groups;
 use super::{UnwrapError, UnwrapInput, UnwrapOutput, Unwrapper};
 
 /// Parts that do not hang together above which charts are packed in rows instead of by shape. Packing by shape tries every
-/// place for every chart: minutes for 8,000 leaves instead of a second, for some hundredths more of the sheet.
-const FAST_PARTS: u32 = 500;
+/// place for every chart: for 8,000 leaves minutes instead of a second, for a machine of 2,672 charts 28 s instead of 8 s, and
+/// 23.1 % of the sheet instead of 22.8 %; for a helmet of 82 parts 9 s instead of 3 s, but 43 % instead of 38 %.
+const FAST_PARTS: u32 = 100;
 
 /// `uvunwrap` with its two limits on charts.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -51,7 +51,8 @@ impl Bvh {
         let reach = corners.iter().flatten().fold(0.0, |reach: f32, p| reach.max(p.abs().max_element()));
 
         // The builder compares sums of areas; inside the unit cube they can neither overflow nor vanish.
-        let (lo, hi) = corners.iter().flatten().fold((corners[0][0], corners[0][0]), |(lo, hi), p| (lo.min(*p), hi.max(*p)));
+        let (lo, hi) =
+            corners.iter().flatten().fold((corners[0][0], corners[0][0]), |(lo, hi), p| (lo.min(*p), hi.max(*p)));
         let (lo, extent) = (lo.as_dvec3(), (hi.as_dvec3() - lo.as_dvec3()).max_element());
         let scale = if extent > 0.0 { 1.0 / extent } else { 1.0 };
         let unit = |p: Vec3| Vec3A::from(((p.as_dvec3() - lo) * scale).as_vec3());

@@ -42,8 +42,8 @@ pub(super) fn join(mesh: &Mesh, edges: &[BorderEdge], weld: f32) -> (Vec<PointId
             // Two consistently wound parts run along their boundary in opposite directions: try that first.
             for ends in [[other[1], other[0]], other] {
                 if (0..2).all(|k| within(mesh, edge.vertices[k], ends[k], weld)) {
-                    for k in 0..2 {
-                        points.unite(mesh.points[edge.vertices[k] as usize], mesh.points[ends[k] as usize]);
+                    for (own, end) in edge.vertices.iter().zip(ends) {
+                        points.unite(mesh.points[*own as usize], mesh.points[end as usize]);
                     }
                     joined[i] = true;
                     joined[j] = true;

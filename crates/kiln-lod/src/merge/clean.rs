@@ -71,5 +71,6 @@ pub(super) fn gather(mesh: &Mesh, points: Vec<PointId>, kept: &[FaceId], report:
 
     let mut raw = (**mesh).clone();
     raw.points = points;
-    Mesh::new(raw.gather(&keep, triangles, face_submesh)).expect("invariant: part of a valid mesh, points renumbered densely")
+    Mesh::new(raw.gather(&keep, triangles, face_submesh))
+        .expect("invariant: part of a valid mesh, points renumbered densely")
 }

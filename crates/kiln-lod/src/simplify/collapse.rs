@@ -408,10 +408,8 @@ impl<'a> Collapser<'a> {
     #[cold]
     fn partner_across_crease(&self, wedge: u32, to: u32) -> Option<u32> {
         let submesh = self.submesh[wedge as usize];
-        let anchor = self
-            .map
-            .iter()
-            .find(|m| self.submesh[m[0] as usize] == submesh && same_chart(self.mesh, m[0], wedge))?[1];
+        let anchor =
+            self.map.iter().find(|m| self.submesh[m[0] as usize] == submesh && same_chart(self.mesh, m[0], wedge))?[1];
         let mut best: Option<(f32, u32)> = None;
         for corner in self.corners(to) {
             let candidate = self.faces[*corner as usize / 3].wedges[*corner as usize % 3];

@@ -58,8 +58,5 @@ fn sample_points(mesh: &Mesh, limit: u32) -> Vec<Vec3> {
 /// The greatest distance of a point to the surface.
 fn farthest(points: &[Vec3], surface: &Bvh) -> f32 {
     // A maximum is the same in any order.
-    points
-        .par_iter()
-        .map(|p| surface.nearest_point(*p).map_or(0.0, |near| near.distance))
-        .reduce(|| 0.0, f32::max)
+    points.par_iter().map(|p| surface.nearest_point(*p).map_or(0.0, |near| near.distance)).reduce(|| 0.0, f32::max)
 }

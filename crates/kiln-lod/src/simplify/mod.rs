@@ -30,12 +30,12 @@
 //! doi:10.1145/258734.258849. C. Gonzalez, PhD thesis, Universitat Jaume I 2010, chapter 3 (boundaries). Link condition: T. Dey
 //! et al., "Topology preserving edge contraction", Publ. Inst. Math. 1999.
 
-pub mod rules;
-pub mod sequence;
 mod collapse;
 mod error;
 mod heap;
 mod quadric;
+pub mod rules;
+pub mod sequence;
 mod uv_border;
 
 use kiln_asset::{Level, LodSet, Mesh, QuadricCoefficients, UvLayout};
@@ -162,12 +162,15 @@ pub fn levels(
     let mut finest = 0;
     for budget in budgets {
         let (count, measured) = match *budget {
-            Budget::Keep(share) => by_faces(mesh, sequence, &surface, (share * f64::from(source_triangles)).floor() as u32, finest),
+            Budget::Keep(share) => {
+                by_faces(mesh, sequence, &surface, (share * f64::from(source_triangles)).floor() as u32, finest)
+            }
             Budget::Triangles(faces) => by_faces(mesh, sequence, &surface, faces, finest),
             Budget::Error(error) => by_error(mesh, sequence, &surface, error, finest),
         };
-        let (level, origin) =
-            sequence.replay_with_points(mesh, count).expect("invariant: a replay of the mesh's own sequence keeps its promises");
+        let (level, origin) = sequence
+            .replay_with_points(mesh, count)
+            .expect("invariant: a replay of the mesh's own sequence keeps its promises");
         let quadrics = forms.at(sequence, count, &origin);
         finest = count;
         least = least.max(measured);
@@ -244,7 +247,8 @@ fn replayed(mesh: &Mesh, sequence: &CollapseSequence, count: usize) -> Mesh {
 
 fn why_short(asked: &str, faces: u32, sequence: &CollapseSequence) -> String {
     let report = sequence.report();
-    let mut worst: Vec<(u32, Rule)> = Rule::ALL.iter().map(|r| (report.blocked[*r as usize], *r)).filter(|w| w.0 > 0).collect();
+    let mut worst: Vec<(u32, Rule)> =
+        Rule::ALL.iter().map(|r| (report.blocked[*r as usize], *r)).filter(|w| w.0 > 0).collect();
     worst.sort_by_key(|w| (std::cmp::Reverse(w.0), w.1));
     let reasons: Vec<String> = worst.iter().take(3).map(|(n, rule)| format!("{n} times {}", rule.reason())).collect();
     format!("asked {asked}, reached {faces} triangles: no further collapse is legal ({})", reasons.join("; "))

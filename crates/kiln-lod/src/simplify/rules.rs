@@ -23,7 +23,11 @@ pub const MOVES: [(PointKind, Moves, &str); 6] = [
     (PointKind::Manifold, Moves::Anywhere, "nothing but a smooth patch of one chart hangs on it"),
     (PointKind::Border, Moves::AlongLine, "the open edge of the surface keeps its course"),
     (PointKind::Seam, Moves::AlongLine, "wedges on both sides find their partner only along the seam"),
-    (PointKind::Boundary, Moves::AlongLine, "two submeshes share it; both follow along their common line (Algorithm 1)"),
+    (
+        PointKind::Boundary,
+        Moves::AlongLine,
+        "two submeshes share it; both follow along their common line (Algorithm 1)",
+    ),
     (PointKind::Complex, Moves::Never, "its faces form no fan, so no local test can vouch for the result"),
     (PointKind::Locked, Moves::Never, "lines meet or end here, or the caller locked it"),
 ];

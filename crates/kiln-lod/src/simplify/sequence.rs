@@ -170,9 +170,9 @@ impl CollapseSequence {
                 w[0].first_face <= w[1].first_face && w[0].first_pair <= w[1].first_pair && w[0].error <= w[1].error
             })
             && s.collapses.first().is_none_or(|c| c.first_face == 0 && c.first_pair == 0)
-            && s.collapses.last().is_none_or(|c| {
-                c.first_face as usize <= s.faces.len() && c.first_pair as usize <= s.pairs.len()
-            });
+            && s.collapses
+                .last()
+                .is_none_or(|c| c.first_face as usize <= s.faces.len() && c.first_pair as usize <= s.pairs.len());
         if sound { Ok(sequence) } else { Err(BlobError::Content("collapse sequence out of range or order".into())) }
     }
 }

@@ -109,8 +109,7 @@ fn one_thread_and_four_give_the_same_levels() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let sequence = collapse(&mesh, &[], None, &SimplifyOptions::default());
-            let (set, report) =
-                levels(&mesh, &[], &sequence, &mesh, &[Budget::Keep(0.2)], &LevelsOptions::default());
+            let (set, report) = levels(&mesh, &[], &sequence, &mesh, &[Budget::Keep(0.2)], &LevelsOptions::default());
             (sequence.to_blob(), set.to_blob(), report)
         })
     };
@@ -178,8 +177,7 @@ fn uvs_never_cross_a_chart() {
         }
     }
     let side = |v: usize, p: glam::Vec3| if p.x > 10.0 || v >= old { 100.0 } else { 0.0 };
-    raw.uv0 =
-        Some(raw.positions.iter().enumerate().map(|(v, p)| glam::Vec2::new(p.x + side(v, *p), p.y)).collect());
+    raw.uv0 = Some(raw.positions.iter().enumerate().map(|(v, p)| glam::Vec2::new(p.x + side(v, *p), p.y)).collect());
     raw.points.clear();
     let mesh = Mesh::new(raw).unwrap();
     assert!(Topology::new(&mesh).kinds.contains(&PointKind::Seam));
@@ -254,7 +252,8 @@ fn a_moebius_strip_is_simplified_without_a_panic() {
     let mut raw = RawMesh { submeshes: vec![Default::default()], ..Default::default() };
     for i in 0..n {
         let turn = i as f32 / n as f32 * std::f32::consts::TAU;
-        let across = glam::Vec3::new((turn / 2.0).cos() * turn.cos(), (turn / 2.0).sin(), (turn / 2.0).cos() * turn.sin());
+        let across =
+            glam::Vec3::new((turn / 2.0).cos() * turn.cos(), (turn / 2.0).sin(), (turn / 2.0).cos() * turn.sin());
         let centre = glam::Vec3::new(turn.cos(), 0.0, turn.sin()) * 3.0;
         raw.positions.extend([centre - across, centre + across]);
     }

@@ -22,7 +22,11 @@ impl<'a> UvBorder<'a> {
     fn moved(&self, from: u32, to: u32, other: u32) -> f32 {
         let [p, a, b] = [from, to, other].map(|w| self.uv[w as usize] * self.size);
         let along = b - a;
-        let t = if along.length_squared() > 0.0 { ((p - a).dot(along) / along.length_squared()).clamp(0.0, 1.0) } else { 0.0 };
+        let t = if along.length_squared() > 0.0 {
+            ((p - a).dot(along) / along.length_squared()).clamp(0.0, 1.0)
+        } else {
+            0.0
+        };
         let known = [from, to, other].map(|w| self.deviation[w as usize]).into_iter().fold(0.0, f32::max);
         known + (a + along * t - p).length()
     }
@@ -30,7 +34,8 @@ impl<'a> UvBorder<'a> {
     /// Whether every chart border through the wedges of `map` (from, to) stays within half the padding; `other` gives the
     /// border's next wedge on the far side of a wedge.
     pub(super) fn allows(&self, map: &[[u32; 2]], other: impl Fn(u32) -> Option<u32>) -> bool {
-        self.uv.is_empty() || map.iter().all(|[from, to]| other(*from).is_none_or(|o| self.moved(*from, *to, o) <= self.limit))
+        self.uv.is_empty()
+            || map.iter().all(|[from, to]| other(*from).is_none_or(|o| self.moved(*from, *to, o) <= self.limit))
     }
 
     /// Notes that the wedges went where `map` says.

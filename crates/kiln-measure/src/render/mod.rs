@@ -134,11 +134,8 @@ pub fn render(scene: &Scene<'_>, camera: &Camera, options: &RenderOptions) -> Pi
     let options = RenderOptions { supersample: options.supersample.clamp(1, 16), ..*options };
     let size = [options.width * options.supersample, options.height * options.supersample];
     let mesh = scene.mesh;
-    let projected = mesh
-        .positions
-        .par_iter()
-        .map(|p| camera.project(p.as_dvec3(), size[0] as f64, size[1] as f64))
-        .collect();
+    let projected =
+        mesh.positions.par_iter().map(|p| camera.project(p.as_dvec3(), size[0] as f64, size[1] as f64)).collect();
     let surface = shade::Surface::new(scene, &options);
     let frame = Frame { scene: *scene, camera, options: &options, size, projected, surface };
 

@@ -57,7 +57,11 @@ impl<'a> Surface<'a> {
             let masked = material.is_some_and(|m| m.alpha_mode == AlphaMode::Mask);
             Look {
                 material,
-                base_color: map(material, MapRole::BaseColor, masked || matches!(mode, Mode::Flat | Mode::Lit | Mode::Shaded)),
+                base_color: map(
+                    material,
+                    MapRole::BaseColor,
+                    masked || matches!(mode, Mode::Flat | Mode::Lit | Mode::Shaded),
+                ),
                 normal: map(material, MapRole::Normal, normal_map && has_normals),
                 emissive: map(material, MapRole::Emissive, mode == Mode::Shaded),
                 double_sided: material.is_some_and(|m| m.double_sided),
@@ -132,7 +136,8 @@ impl<'a> Surface<'a> {
     /// Lights fixed to the camera: key from the upper left, fill from the right, sky from above.
     fn shaded(&self, frame: &Frame<'_>, face: u32, bary: [f32; 3]) -> Vec3 {
         let camera = frame.camera;
-        let in_view = |x: f64, y: f64, z: f64| (x * camera.right + y * camera.up + z * camera.back).normalize().as_vec3();
+        let in_view =
+            |x: f64, y: f64, z: f64| (x * camera.right + y * camera.up + z * camera.back).normalize().as_vec3();
         let (key, fill, above) = (in_view(-0.5, 0.7, 0.6), in_view(0.8, 0.1, 0.5), in_view(0.0, 1.0, 0.0));
         let eye = camera.towards_eye(self.place(face, bary)).as_vec3();
         let mut n = self.normal(frame, face, bary);
@@ -144,7 +149,8 @@ impl<'a> Surface<'a> {
             Some(_) => self.base(frame, face, bary, texel_light).truncate(),
             None => Vec3::splat(CLAY) * self.base(frame, face, bary, texel_light).truncate(),
         };
-        let diffuse = 0.85 * n.dot(key).max(0.0) + 0.25 * n.dot(fill).max(0.0) + 0.12 + 0.10 * (0.5 + 0.5 * n.dot(above));
+        let diffuse =
+            0.85 * n.dot(key).max(0.0) + 0.25 * n.dot(fill).max(0.0) + 0.12 + 0.10 * (0.5 + 0.5 * n.dot(above));
         let highlight = |light: Vec3| math::pow(n.dot((light + eye).normalize_or_zero()).max(0.0), 40.0);
         let specular = 0.18 * highlight(key) + 0.05 * highlight(fill);
         let emissive = match (look.material, &look.emissive) {

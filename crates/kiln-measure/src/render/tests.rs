@@ -2,8 +2,8 @@
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use kiln_asset::{
-    AlphaMode, ImageFormat, ImageId, ImageInfo, Material, MaterialId, MaterialSet, Mesh, Raster, RawMesh, Sampler, Submesh,
-    SubmeshId, Texture, TextureId, TextureRef,
+    AlphaMode, ImageFormat, ImageId, ImageInfo, Material, MaterialId, MaterialSet, Mesh, Raster, RawMesh, Sampler,
+    Submesh, SubmeshId, Texture, TextureId, TextureRef,
 };
 
 use super::*;
@@ -68,7 +68,8 @@ fn sphere(rings: u32) -> RawMesh {
     let at = |r: u32, s: u32| r * (segments + 1) + s;
     for r in 0..rings {
         for s in 0..segments {
-            raw.triangles.extend([[at(r, s), at(r + 1, s), at(r + 1, s + 1)], [at(r, s), at(r + 1, s + 1), at(r, s + 1)]]);
+            raw.triangles
+                .extend([[at(r, s), at(r + 1, s), at(r + 1, s + 1)], [at(r, s), at(r + 1, s + 1), at(r, s + 1)]]);
             raw.face_submesh.extend([SubmeshId(0); 2]);
         }
     }
@@ -79,8 +80,13 @@ use kiln_geom::math::{cos64 as libm_cos, sin64 as libm_sin};
 
 #[test]
 fn a_textured_quad_shows_its_texels_the_right_way_round() {
-    let picture = Raster { width: 2, height: 2, texels: vec![[10, 0, 0, 255], [0, 20, 0, 255], [0, 0, 30, 255], [40, 40, 40, 255]] };
-    let materials = with_map(kiln_asset::MapRole::BaseColor, Sampler { mag: kiln_asset::Filter::Nearest, ..Sampler::default() });
+    let picture = Raster {
+        width: 2,
+        height: 2,
+        texels: vec![[10, 0, 0, 255], [0, 20, 0, 255], [0, 0, 30, 255], [40, 40, 40, 255]],
+    };
+    let materials =
+        with_map(kiln_asset::MapRole::BaseColor, Sampler { mag: kiln_asset::Filter::Nearest, ..Sampler::default() });
     let (mesh, images) = (mesh(quad(0.0)), [picture.clone()]);
     let scene = Scene { mesh: &mesh, materials: &materials, images: &images };
     let seen = render(&scene, &front(), &options(2));
@@ -156,7 +162,8 @@ fn backs_are_hidden_unless_the_material_or_the_options_say_otherwise() {
 
 #[test]
 fn a_mask_cuts_holes_and_shows_what_lies_behind() {
-    let mut materials = with_map(kiln_asset::MapRole::BaseColor, Sampler { mag: kiln_asset::Filter::Nearest, ..Sampler::default() });
+    let mut materials =
+        with_map(kiln_asset::MapRole::BaseColor, Sampler { mag: kiln_asset::Filter::Nearest, ..Sampler::default() });
     let images = [Raster { width: 2, height: 1, texels: vec![[200, 0, 0, 100], [200, 0, 0, 200]] }];
     let mesh = mesh(quad(0.0));
     let covered = |materials: &MaterialSet| {
@@ -253,7 +260,8 @@ fn an_asset_against_itself_is_no_distance_away() {
     let scene = Scene { mesh: &mesh, materials: &MaterialSet::default(), images: &[] };
     let views = Camera::views(6, bounding_sphere(&mesh.positions));
     for mode in [Mode::Flat, Mode::Lit, Mode::Shaded, Mode::Normals, Mode::Silhouette] {
-        let seen: Vec<Picture> = views.iter().map(|c| render(&scene, c, &RenderOptions { mode, ..options(48) })).collect();
+        let seen: Vec<Picture> =
+            views.iter().map(|c| render(&scene, c, &RenderOptions { mode, ..options(48) })).collect();
         let error = image_error(&seen, &seen).expect("pairs");
         assert_eq!((error.rmse, error.silhouette_xor), (0.0, 0.0));
         assert!(seen.iter().all(|p| p.codes.iter().all(|c| c.is_finite())));
@@ -276,7 +284,12 @@ fn pictures_are_the_same_on_any_thread_count() {
 fn perspective_interpolates_by_distance() {
     // A floor that runs away from the eye: its middle in space lies well above the middle of its picture.
     let mut raw = quad(0.0);
-    raw.positions = vec![Vec3::new(-1.0, -1.0, 1.0), Vec3::new(1.0, -1.0, 1.0), Vec3::new(1.0, -1.0, -9.0), Vec3::new(-1.0, -1.0, -9.0)];
+    raw.positions = vec![
+        Vec3::new(-1.0, -1.0, 1.0),
+        Vec3::new(1.0, -1.0, 1.0),
+        Vec3::new(1.0, -1.0, -9.0),
+        Vec3::new(-1.0, -1.0, -9.0),
+    ];
     raw.normals = Some(vec![Vec3::Y; 4]);
     let images = [Raster { width: 1, height: 2, texels: vec![[0, 0, 0, 255], [255, 255, 255, 255]] }];
     let sampler = Sampler { mag: kiln_asset::Filter::Nearest, mip: None, ..Sampler::default() };

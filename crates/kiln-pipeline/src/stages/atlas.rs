@@ -10,7 +10,7 @@ use kiln_engine::{Action, ActionError, Context, Outputs, Source};
 use kiln_lod::normals;
 
 use super::simplify::needs_normals;
-use super::{Incoming, StageError, json, params};
+use super::{StageError, json, load_levels, params};
 use crate::foreign;
 use crate::language::StageSettings;
 use crate::language::options::{self, UnwrapperName};
@@ -52,7 +52,7 @@ fn run(
     options: &options::AtlasOptions,
     worker: Option<&XatlasWorker>,
 ) -> Result<Outputs, ActionError> {
-    let LodSet { mut levels, source_triangles, .. } = Incoming::load(context, "in")?.into_levels();
+    let LodSet { mut levels, source_triangles, .. } = load_levels(context, "in")?;
     let Some(mut level) = levels.drain(..).next() else {
         return Err(StageError::Defect("the stage before gave no level".into()).into());
     };

@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::atlas::NORMAL_ANGLE;
 use super::pack::Pictures;
 use super::simplify::needs_normals;
-use super::{Incoming, OpenBackend, StageError, json, load_images, load_materials, params};
+use super::{OpenBackend, StageError, json, load_images, load_levels, load_materials, params};
 use crate::foreign;
 use crate::language::StageSettings;
 use crate::language::options::{self, MapName, Space};
@@ -36,7 +36,8 @@ pub(crate) fn action(
         .input("images", Source::outputs(materials, "image/"));
     action.label = label;
     action.params = params(&StageSettings::Bake(options.clone()), &["high"]);
-    action.foreign = [foreign::GLAM, foreign::OBVHS, foreign::MIKKTSPACE, foreign::IMAGE, foreign::LIBM].map(Into::into).into();
+    action.foreign =
+        [foreign::GLAM, foreign::OBVHS, foreign::MIKKTSPACE, foreign::IMAGE, foreign::LIBM].map(Into::into).into();
     action.numeric_class = Some(foreign::NUMERIC_CLASS.into());
     if let Some(class) = backend.device_class(crate::language::Kind::Bake) {
         action.foreign.push(foreign::WGPU.into());
@@ -55,7 +56,7 @@ struct Report {
 }
 
 fn run(context: &Context<'_>, options: &options::BakeOptions, backend: &OpenBackend) -> Result<Outputs, ActionError> {
-    let low = Incoming::load(context, "low")?.into_levels();
+    let low = load_levels(context, "low")?;
     let mut high = Mesh::from_blob(&context.input("high")?).map_err(StageError::Blob)?;
     let materials = load_materials(context, "materials")?;
     if needs_normals(&high) {
@@ -116,7 +117,10 @@ fn warnings(report: &BakeReport) -> Vec<String> {
         list.push(format!("{} texels are covered by two triangles", report.overlapping));
     }
     if !report.lost_maps.is_empty() {
-        list.push(format!("materials have maps that `maps` does not name and that are gone: {}", names(&report.lost_maps)));
+        list.push(format!(
+            "materials have maps that `maps` does not name and that are gone: {}",
+            names(&report.lost_maps)
+        ));
     }
     if let Some(padding) = report.short_padding {
         list.push(format!("dilation is more than the layout's padding of {padding} texels: bands of two charts meet"));

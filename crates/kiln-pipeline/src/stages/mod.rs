@@ -3,12 +3,12 @@
 //! Each file holds the stage's semantic version, its action (what the fingerprint covers) and its run. To add a stage: a row in
 //! [`crate::language::options::Kind`], a file here, an arm in [`crate::plan`].
 
-pub(crate) mod import;
-pub(crate) mod merge;
-pub(crate) mod simplify;
 pub(crate) mod atlas;
 pub(crate) mod bake;
+pub(crate) mod import;
+pub(crate) mod merge;
 pub(crate) mod pack;
+pub(crate) mod simplify;
 
 use std::sync::Arc;
 
@@ -21,8 +21,8 @@ use serde::Serialize;
 pub use atlas::XatlasWorker;
 
 use crate::language::options::Kind;
-use crate::language::{Pipeline, StageSettings};
 use crate::language::value::Value as Setting;
+use crate::language::{Pipeline, StageSettings};
 
 /// Why a stage failed: the stage's own error, by family.
 #[derive(Debug, thiserror::Error)]
@@ -86,36 +86,16 @@ pub(crate) fn params(settings: &StageSettings, not: &[&str]) -> Vec<(String, Val
         .collect()
 }
 
-/// What a stage takes from the one before: a mesh, or levels whose finest is meant.
-pub(crate) enum Incoming {
-    /// From a merge.
-    Mesh(Mesh),
-    /// From a simplify or an atlas.
-    Levels(LodSet),
-}
-
-impl Incoming {
-    /// The input `in` of an action, whichever kind it is.
-    pub(crate) fn load(context: &Context<'_>, name: &str) -> Result<Incoming, ActionError> {
-        let bytes = context.input(name)?;
-        Ok(if bytes.starts_with(b"LODS") {
-            Incoming::Levels(LodSet::from_blob(&bytes).map_err(StageError::Blob)?)
-        } else {
-            Incoming::Mesh(Mesh::from_blob(&bytes).map_err(StageError::Blob)?)
-        })
+/// The input `name` as levels; a mesh, as merge gives it, is one level without error.
+pub(crate) fn load_levels(context: &Context<'_>, name: &str) -> Result<LodSet, ActionError> {
+    let bytes = context.input(name)?;
+    if bytes.starts_with(b"LODS") {
+        return Ok(LodSet::from_blob(&bytes).map_err(StageError::Blob)?);
     }
-
-    /// As a level set: a mesh is one level without error.
-    pub(crate) fn into_levels(self) -> LodSet {
-        match self {
-            Incoming::Levels(set) => set,
-            Incoming::Mesh(mesh) => {
-                let source_triangles = mesh.submeshes.iter().map(|s| s.source_triangles).sum();
-                let level = kiln_asset::Level { mesh, error: 0.0, quadrics: Vec::new() };
-                LodSet { levels: vec![level], layout: None, source_triangles }
-            }
-        }
-    }
+    let mesh = Mesh::from_blob(&bytes).map_err(StageError::Blob)?;
+    let source_triangles = mesh.submeshes.iter().map(|s| s.source_triangles).sum();
+    let level = kiln_asset::Level { mesh, error: 0.0, quadrics: Vec::new() };
+    Ok(LodSet { levels: vec![level], layout: None, source_triangles })
 }
 
 /// The input `name` as materials.

@@ -8,7 +8,7 @@ use kiln_asset::{ImageFormat, ImageId, Raster};
 use kiln_engine::{Action, ActionError, ContentHash, Context, Outputs, Source};
 use kiln_pack::{PackOptions, Provenance, pack};
 
-use super::{Incoming, StageError, import, json, load_images, load_materials, params};
+use super::{StageError, import, json, load_images, load_levels, load_materials, params};
 use crate::foreign;
 use crate::language::StageSettings;
 use crate::language::options;
@@ -60,7 +60,7 @@ pub(crate) fn action(
 const TOOL: &str = concat!("kiln ", env!("CARGO_PKG_VERSION"));
 
 fn run(context: &Context<'_>, made_by: &MadeBy) -> Result<Outputs, ActionError> {
-    let levels = Incoming::load(context, "levels")?.into_levels();
+    let levels = load_levels(context, "levels")?;
     let materials = load_materials(context, "materials")?;
     let images = load_images(context, &materials)?;
     let inputs = import::inputs_from_blob(&context.input("inputs")?).map_err(StageError::Blob)?;

@@ -6,7 +6,7 @@ use kiln_engine::{Action, ActionError, Context, Outputs, Source};
 use kiln_lod::normals;
 use kiln_lod::simplify::{Budget, CollapseSequence, LevelsOptions, SimplifyOptions, collapse, levels};
 
-use super::{Incoming, StageError, json, params};
+use super::{StageError, json, load_levels, params};
 use crate::foreign;
 use crate::language::options::{self, Normals};
 use crate::language::{LevelBudget, StageSettings};
@@ -22,7 +22,7 @@ const LEVEL_KEYS: [&str; 3] = ["levels", "normals", "normal-angle"];
 /// Output: `sequence`.
 pub(crate) fn collapse_action(id: String, label: String, options: &options::SimplifyOptions, input: Source) -> Action {
     let mut action = Action::new(id, "simplify", COLLAPSE_VERSION, |context| {
-        let set = Incoming::load(context, "in")?.into_levels();
+        let set = load_levels(context, "in")?;
         let Some(finest) = set.levels.first() else { return Err(no_level()) };
         let sequence = collapse(&finest.mesh, &finest.quadrics, set.layout.as_ref(), &SimplifyOptions::default());
         Ok(Outputs::new().with("sequence", sequence.to_blob()).report(json(sequence.report())))
@@ -62,7 +62,7 @@ fn no_level() -> ActionError {
 }
 
 fn cut(context: &Context<'_>, options: &options::SimplifyOptions) -> Result<Outputs, ActionError> {
-    let set = Incoming::load(context, "in")?.into_levels();
+    let set = load_levels(context, "in")?;
     let source = Mesh::from_blob(&context.input("source")?).map_err(StageError::Blob)?;
     let Some(finest) = set.levels.first() else { return Err(no_level()) };
     let sequence = CollapseSequence::from_blob(&context.input("sequence")?).map_err(StageError::Blob)?;
@@ -76,8 +76,7 @@ fn cut(context: &Context<'_>, options: &options::SimplifyOptions) -> Result<Outp
             LevelBudget::Error(length) => Budget::Error(length.resolve(diagonal)),
         })
         .collect();
-    let (cut, report) =
-        levels(&finest.mesh, &finest.quadrics, &sequence, &source, &budgets, &LevelsOptions::default());
+    let (cut, report) = levels(&finest.mesh, &finest.quadrics, &sequence, &source, &budgets, &LevelsOptions::default());
     let levels = cut
         .levels
         .into_iter()

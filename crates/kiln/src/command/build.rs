@@ -3,6 +3,8 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use kiln_pipeline::plan::PlanError;
+
 use super::args::BuildArgs;
 use super::{complain, data, diagnostics, progress};
 use crate::build::BuildError;
@@ -64,11 +66,11 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
 
 /// Prints why there was no build.
 pub(super) fn failed(error: &BuildError) -> Exit {
-    if let BuildError::Plan(plan) = error {
-        if let kiln_pipeline::plan::PlanError::Pipeline { diagnostics: list, sources } = plan {
-            diagnostics::show(list, sources);
-            return if plan.is_usage() { Exit::Usage } else { Exit::Failed };
-        }
+    if let BuildError::Plan(plan) = error
+        && let PlanError::Pipeline { diagnostics: list, sources } = plan
+    {
+        diagnostics::show(list, sources);
+        return if plan.is_usage() { Exit::Usage } else { Exit::Failed };
     }
     complain(Exit::Failed, &error.to_string())
 }
@@ -87,12 +89,17 @@ fn show(summary: &Summary, dry_run: bool) {
     if summary.fresh {
         let assets = summary.assets.len();
         let what = if dry_run { "nothing would run" } else { "nothing to do" };
-        eprintln!("{}: {what}, {assets} assets and {stages} stages are fresh ({})", summary.pipeline, seconds(summary.seconds));
+        eprintln!(
+            "{}: {what}, {assets} assets and {stages} stages are fresh ({})",
+            summary.pipeline,
+            seconds(summary.seconds)
+        );
         return;
     }
     eprint!("{}", summary.table());
     let count = |state| summary.assets.iter().flat_map(|a| &a.stages).filter(|s| s.state == state).count();
     let (ran, would) = (count(StageState::Ran), count(StageState::WouldRun) + count(StageState::Depends));
-    let verb = if dry_run { format!("{would} of {stages} stages may run") } else { format!("{ran} of {stages} stages ran") };
+    let verb =
+        if dry_run { format!("{would} of {stages} stages may run") } else { format!("{ran} of {stages} stages ran") };
     eprintln!("{}: {verb} ({})", summary.pipeline, seconds(summary.seconds));
 }

@@ -29,7 +29,13 @@ pub(super) fn inspect(args: &InspectArgs) -> Exit {
 fn text(file: &Path, report: &InspectReport) -> String {
     let mut out = String::new();
     let size = summary::bytes(report.file_length);
-    let _ = writeln!(out, "{}: container {}, {size}, {} source triangles", file.display(), report.version, report.source_triangles);
+    let _ = writeln!(
+        out,
+        "{}: container {}, {size}, {} source triangles",
+        file.display(),
+        report.version,
+        report.source_triangles
+    );
     for level in &report.levels {
         let share = 100.0 * f64::from(level.triangles) / f64::from(report.source_triangles.max(1));
         let _ = writeln!(
@@ -70,7 +76,13 @@ fn text(file: &Path, report: &InspectReport) -> String {
         );
     }
     if let Some(made) = &report.provenance {
-        let _ = writeln!(out, "  made by {}, numeric class {}, device {}", made.tool, made.numeric_class, or_none(&made.device_class));
+        let _ = writeln!(
+            out,
+            "  made by {}, numeric class {}, device {}",
+            made.tool,
+            made.numeric_class,
+            or_none(&made.device_class)
+        );
         for (stage, version) in &made.stages {
             let _ = writeln!(out, "    stage {stage}: {version}");
         }
@@ -99,7 +111,8 @@ pub(super) fn check(args: &CheckArgs) -> Exit {
             .iter()
             .map(|f| json!({ "code": f.code.name(), "path": f.place, "message": f.to_string() }))
             .collect();
-        let value = json!({ "file": args.file.display().to_string(), "sound": findings.is_empty(), "findings": findings });
+        let value =
+            json!({ "file": args.file.display().to_string(), "sound": findings.is_empty(), "findings": findings });
         return exit.max(data(&format!("{value:#}")));
     }
     for finding in &report.findings {

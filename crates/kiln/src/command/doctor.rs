@@ -59,7 +59,12 @@ fn text(model: &Path, report: &ImportReport) -> String {
         lines.push(format!("  not carried: {} ({})", left.what, left.count));
     }
     for repair in &report.repairs {
-        lines.push(format!("  would change: {} ({} times, first {})", repair.kind.sentence(), repair.count, repair.first));
+        lines.push(format!(
+            "  would change: {} ({} times, first {})",
+            repair.kind.sentence(),
+            repair.count,
+            repair.first
+        ));
     }
     lines.join("\n")
 }
@@ -76,12 +81,12 @@ fn machine() -> String {
         Err(error) => error.to_string(),
     };
     let xatlas = worker::find().map_or_else(
-        || "not found; build it with `cargo build --release -p kiln-xatlas --features xatlas` (needs libclang)".to_owned(),
+        || {
+            "not found; build it with `cargo build --release -p kiln-xatlas --features xatlas` (needs libclang)"
+                .to_owned()
+        },
         |path| path.display().to_string(),
     );
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    format!(
-        "kiln {}\n  cores: {cores}\n  GPU: {gpu}\n  xatlas worker: {xatlas}",
-        env!("CARGO_PKG_VERSION"),
-    )
+    format!("kiln {}\n  cores: {cores}\n  GPU: {gpu}\n  xatlas worker: {xatlas}", env!("CARGO_PKG_VERSION"),)
 }

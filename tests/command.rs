@@ -119,3 +119,11 @@ fn doctor_tells_what_the_importer_sees() {
     space.run(["doctor"]).expect(0);
     space.run(["doctor", "missing.glb"]).expect(2);
 }
+
+#[test]
+fn the_page_on_the_language_is_what_the_command_prints() {
+    let printed = Space::new().run(["stage"]).expect(0).stdout;
+    let page = fs::read_to_string(repository("docs/pipeline.md")).unwrap();
+    let (_, reference) = page.split_once("\n\n## ").unwrap();
+    assert_eq!(format!("## {reference}"), printed, "write it again: kiln stage");
+}

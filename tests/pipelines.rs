@@ -29,6 +29,13 @@ fn quickstart_builds_bakes_and_the_second_build_does_nothing() {
     let inspected = space.run(["inspect", "pipelines/build/pot.kiln", "--json"]).expect(0).json();
     assert_eq!(inspected["levels"].as_array().unwrap().len(), 3, "{inspected:#}");
     assert!(inspected["textures"].as_array().is_some_and(|t| t.len() >= 3), "{inspected:#}");
+
+    // What an engine does with it.
+    let bytes = kiln_format::AlignedBytes::copy_of(&space.read("pipelines/build/pot.kiln"));
+    let lods = kiln_runtime::Lods::open(&bytes).unwrap();
+    let view = |distance| kiln_runtime::View { distance, vertical_fov_radians: 0.8, viewport_height_px: 1080.0 };
+    assert_eq!(lods.choose_level(&view(0.5), 1.0), 0, "near: the finest");
+    assert_eq!(lods.choose_level(&view(100.0), 1.0), 2, "far: the coarsest");
     let again = space.run(args).expect(0).json();
     assert_eq!(again["fresh"], true);
 }

@@ -1,36 +1,55 @@
 //! Post-conditions of merge and simplify, for tests, reports and debug builds.
 
-use kiln_asset::Mesh;
+use kiln_asset::{FaceId, Mesh};
 
-use crate::topology::{EdgeKind, Topology};
+use crate::topology::{EdgeKind, PointKind, Topology};
 
-/// New gaps: border edges of `after` at least one end of which lies where `before` had no border. Points are matched by position,
-/// which half-edge collapses never change.
+/// New gaps: border edges of `after` at least one end of which lies where `before` had no border. Points are matched by the
+/// positions of their wedges, which half-edge collapses never change.
+///
+/// Points of complex edges count as known: such an edge may become a border when one of its sheets vanishes, but its points
+/// never go, so nothing opens there.
 pub fn gaps(before: &Mesh, after: &Mesh) -> usize {
-    let places = |mesh: &Mesh| {
-        let topology = Topology::new(mesh);
-        let mut ends: Vec<[[u32; 3]; 2]> = Vec::new();
-        for (f, kinds) in topology.edge_kinds.iter().enumerate() {
-            for (k, kind) in kinds.iter().enumerate() {
-                if *kind == EdgeKind::Border && !crate::topology::is_degenerate(&topology.face_points[f]) {
-                    let triangle = mesh.triangles[f];
-                    let bits = |v: u32| mesh.positions[v as usize].to_array().map(|c| (c + 0.0).to_bits());
-                    ends.push([bits(triangle[k]), bits(triangle[(k + 1) % 3])]);
-                }
-            }
-        }
-        ends
-    };
-    // Points of complex edges may become borders when one of their sheets vanishes; they never go, so they open nothing.
     let topology = Topology::new(before);
-    let mut known: Vec<[u32; 3]> = places(before).into_iter().flatten().collect();
-    for (v, p) in before.points.iter().enumerate() {
-        if topology.kinds[p.index()] == crate::topology::PointKind::Complex {
-            known.push(before.positions[v].to_array().map(|c| (c + 0.0).to_bits()));
+    let mut known_point: Vec<bool> = topology.kinds.iter().map(|kind| *kind == PointKind::Complex).collect();
+    for corner in border_half_edges(&topology) {
+        for p in half_edge_points(&topology, corner) {
+            known_point[p as usize] = true;
         }
     }
+    let place = |mesh: &Mesh, v: usize| mesh.positions[v].to_array().map(|c| (c + 0.0).to_bits());
+    // All wedges of a point: which of them a border edge names may change with its faces.
+    let mut known: Vec<[u32; 3]> = (0..before.vertex_count())
+        .filter(|v| known_point[before.points[*v].index()])
+        .map(|v| place(before, v))
+        .collect();
     known.sort_unstable();
     known.dedup();
-    let is_known = |place: &[u32; 3]| known.binary_search(place).is_ok();
-    places(after).iter().filter(|ends| !ends.iter().all(is_known)).count()
+
+    let topology = Topology::new(after);
+    border_half_edges(&topology)
+        .filter(|corner| {
+            [*corner, crate::topology::next(*corner)].iter().any(|c| {
+                let v = after.triangles[*c as usize / 3][*c as usize % 3] as usize;
+                known.binary_search(&place(after, v)).is_err()
+            })
+        })
+        .count()
+}
+
+/// The corners whose half-edges have no second face.
+fn border_half_edges(topology: &Topology) -> impl Iterator<Item = u32> {
+    let kinds = topology.edge_kinds.iter().flatten().zip(0..);
+    kinds.filter(|(kind, _)| **kind == EdgeKind::Border).map(|(_, corner)| corner)
+}
+
+fn half_edge_points(topology: &Topology, corner: u32) -> [u32; 2] {
+    [corner, crate::topology::next(corner)].map(|c| topology.face_points[c as usize / 3][c as usize % 3])
+}
+
+/// Faces with two corners at one point: none is left by `merge`, and none is made by a collapse.
+pub fn degenerate_faces(mesh: &Mesh) -> usize {
+    (0..mesh.face_count() as u32)
+        .filter(|f| crate::topology::is_degenerate(&mesh.face_points(FaceId(*f)).map(|p| p.0)))
+        .count()
 }

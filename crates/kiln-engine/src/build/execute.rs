@@ -101,7 +101,7 @@ impl Session<'_> {
         let record = Record {
             fingerprint: manifest.fingerprint(),
             kind: self.plan.actions[action].kind.to_owned(),
-            outputs: self.keep_blobs(action, &outputs)?,
+            outputs: self.keep_blobs(action, &outputs, again)?,
             discovered,
             report: outputs.report,
             seconds,
@@ -111,8 +111,9 @@ impl Session<'_> {
         Ok(seconds)
     }
 
-    /// Keeps the outputs in the store, and in memory if something reads them.
-    fn keep_blobs(&self, action: usize, outputs: &Outputs) -> Result<Vec<OutputRecord>, ActionError> {
+    /// Keeps the outputs in the store, and in memory if something reads them; what was lost once (`again`) may be lost again before
+    /// whoever asked for it looks into the store.
+    fn keep_blobs(&self, action: usize, outputs: &Outputs, again: bool) -> Result<Vec<OutputRecord>, ActionError> {
         let mut names = BTreeSet::new();
         if let Some((name, _)) = outputs.blobs.iter().find(|(name, _)| !names.insert(name)) {
             return Err(ActionError::RepeatedOutput { name: name.clone() });
@@ -123,7 +124,7 @@ impl Session<'_> {
             self.store.put_blob(&hash, bytes, self.sync_cache())?;
             records.push(OutputRecord { name: name.clone(), hash, length: bytes.len() as u64 });
             let mut slot = lock(&self.slots[action]);
-            if slot.readers > 0 {
+            if slot.readers > 0 || again {
                 slot.live.insert(name.clone(), bytes.as_slice().into());
             }
         }

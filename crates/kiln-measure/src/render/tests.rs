@@ -5,6 +5,7 @@ use kiln_asset::{
     AlphaMode, ImageFormat, ImageId, ImageInfo, Material, MaterialId, MaterialSet, Mesh, Raster, RawMesh, Sampler,
     Submesh, SubmeshId, Texture, TextureId, TextureRef,
 };
+use kiln_geom::math::{cos64, sin64};
 
 use super::*;
 use crate::camera::{Sphere, bounding_sphere};

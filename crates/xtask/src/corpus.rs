@@ -89,9 +89,11 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<(), String> {
     }
     let kiln = root.join("target/release/kiln");
     let scratch = keep.unwrap_or_else(|| root.join("target/corpus"));
-    let mut table = String::from(
-        "| model | chain | exit | stage | seconds | peak MB | triangles (error) | gaps | check | glTF validator |\n\
+    let mut table = format!(
+        "# Real models end to end\n\n{} CPU backend, one stage at a time, empty cache; errors are lengths in the model's units.\n\n\
+         | model | chain | exit | stage | seconds | peak MB | triangles (error) | gaps | check | glTF validator |\n\
          | --- | --- | --: | --- | --: | --: | --- | --: | --- | --- |\n",
+        stamp(root)
     );
     let mut failures = Vec::new();
     for (name, path, bakes) in MODELS {
@@ -121,6 +123,9 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<(), String> {
     }
     eprintln!("{table}");
     if let Some(out) = out {
+        if let Some(folder) = out.parent() {
+            fs::create_dir_all(folder).map_err(|e| format!("{}: {e}", folder.display()))?;
+        }
         fs::write(&out, &table).map_err(|e| format!("{}: {e}", out.display()))?;
     }
     if failures.is_empty() { Ok(()) } else { Err(failures.join("\n")) }
@@ -190,10 +195,38 @@ fn validate(root: &Path, glb: &Path) -> Option<Result<String, String>> {
     Some(if output.status.success() { Ok(text.lines().next().unwrap_or_default().into()) } else { Err(text) })
 }
 
-/// `xtask long`: what CI has no time for. The log is written to `docs/results/` with date and commit.
+/// `xtask long`: what CI has no time for. Tables and logs go to `docs/results/`, with date and commit.
 pub(crate) fn long(root: &Path, args: &[String]) -> Result<(), String> {
-    let out = root.join("docs/results/corpus.md");
+    let results = root.join("docs/results");
     let mut passed: Vec<String> = args.to_vec();
-    passed.extend(["--out".into(), out.display().to_string()]);
-    run(root, &passed)
+    passed.extend(["--out".into(), results.join("corpus.md").display().to_string()]);
+    let built = run(root, &passed);
+
+    // Three kills a round.
+    let rounds = 17;
+    let output = Command::new("cargo")
+        .args(["test", "--release", "--locked", "-p", "kiln", "--test", "kiln-tests", "crash"])
+        .env("KILN_CRASH_ROUNDS", rounds.to_string())
+        .current_dir(root)
+        .output()
+        .map_err(|e| e.to_string())?;
+    let said = String::from_utf8_lossy(&output.stdout);
+    let result = said.lines().find(|line| line.starts_with("test result")).unwrap_or("no test ran");
+    let text = format!(
+        "# Kills\n\n{}\n\n{rounds} rounds, each three builds of the common chain killed (SIGKILL) at seeded moments and a last one whose bytes \
+         must equal a clean build's:\n\n```\n{result}\n```\n",
+        stamp(root)
+    );
+    fs::write(results.join("crash.md"), text).map_err(|e| e.to_string())?;
+    built?;
+    if output.status.success() { Ok(()) } else { Err(format!("crash: {said}")) }
+}
+
+/// Date and commit of a result.
+fn stamp(root: &Path) -> String {
+    let said = |program: &str, args: &[&str]| {
+        let output = Command::new(program).args(args).current_dir(root).output().ok();
+        output.map(|o| String::from_utf8_lossy(&o.stdout).trim().to_owned()).unwrap_or_default()
+    };
+    format!("By `cargo xtask long` on {} at commit {}.", said("date", &["-I"]), said("git", &["rev-parse", "--short", "HEAD"]))
 }

@@ -1,7 +1,7 @@
 //! How far two assets are apart: renders, surface distance, contact sheets.
 //!
-//! Reading order: [`scene`] (what is drawn), [`camera`] (from where), [`render`] (the software renderer over `kiln-geom`'s
-//! rasteriser), [`image_error`] (pictures against pictures), [`distance`] (surfaces against surfaces), [`sheet`] (pictures
+//! Reading order: [`scene`] (what is drawn), [`camera`] (from where), [mod@render] (the software renderer over `kiln-geom`'s
+//! rasteriser), [mod@image_error] (pictures against pictures), [`distance`] (surfaces against surfaces), [mod@sheet] (pictures
 //! beside pictures, with captions). [`texture`] reads texels.
 //!
 //! No measure here is used by any metric that simplifies, so that figures judge and do not mirror. All results are the same

@@ -80,7 +80,7 @@ codes! {
     LevelOrder        "level.order"          Invalid     "A level is not coarser than the one before it."
     LevelAbove        "level.above"          Invalid     "A level asks for more than the incoming mesh has left."
     StageNone         "stage.none"           Invalid     "The pipeline has no stage."
-    StageId           "stage.id"             Invalid     "A stage id does not match [a-z][a-z0-9-]*."
+    StageId           "stage.id"             Invalid     "A stage id is not made of lower-case letters, digits and hyphens, a letter first."
     StageIdMissing    "stage.id-missing"     Invalid     "Two stages have the same kind, so each needs an id of its own."
     StageIdRepeated   "stage.id-repeated"    Invalid     "Two stages have the same id."
     StageKindChanged  "stage.kind-changed"   Invalid     "A stage changes the kind of the parent's stage of the same id."

@@ -172,7 +172,7 @@ options! {
 options! {
     /// Keys of every `[[stage]]`.
     pub struct StageOptions {
-        /// Name of the stage, [a-z][a-z0-9-]*.
+        /// Name of the stage: lower-case letters, digits and hyphens, a letter first.
         "id" => id: Option<String>, derived("the kind, where that is unique");
         /// What the stage does.
         "kind" => kind: Option<Kind>, derived("must be given");
@@ -425,7 +425,7 @@ fn key_of(name: &'static str, shape: Shape) -> Key {
     Key { name, shape, standard: super::setting::Standard::Derived(""), range: None, sentence: String::new() }
 }
 
-/// Marks the value of `set`; what is in it is read against the stages by [`super::compose`].
+/// Marks the value of `set`; what is in it is read against the stages by the module `compose`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SetTable;
 

@@ -228,5 +228,9 @@ fn stamp(root: &Path) -> String {
         let output = Command::new(program).args(args).current_dir(root).output().ok();
         output.map(|o| String::from_utf8_lossy(&o.stdout).trim().to_owned()).unwrap_or_default()
     };
-    format!("By `cargo xtask long` on {} at commit {}.", said("date", &["-I"]), said("git", &["rev-parse", "--short", "HEAD"]))
+    format!(
+        "By `cargo xtask long` on {} at commit {}.",
+        said("date", &["-I"]),
+        said("git", &["rev-parse", "--short", "HEAD"])
+    )
 }

@@ -8,8 +8,9 @@ use obvhs::{Boundable, BvhBuildParams};
 
 use super::{Bvh, Node};
 
-/// Quality against build time: search distance 6 and 5 % reinsertion cost a third more than the fastest build and save a
-/// quarter of the boxes that lines visit; leaves of up to four triangles halve the memory at equal speed.
+/// Build time against query time, tried on a bumpy sphere of 70,000 triangles: search distance 14 with ten times the
+/// reinsertion builds five times slower and answers no faster; no reinsertion at all, leaves of one or of up to eight
+/// triangles answer no faster either.
 const BUILD: BvhBuildParams = BvhBuildParams {
     pre_split: false,
     ploc_search_distance: PlocSearchDistance::Low,

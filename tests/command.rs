@@ -7,7 +7,7 @@ use crate::space::{SMALL, Space, repository, small};
 #[test]
 fn help_names_every_command_and_the_exit_codes() {
     let help = Space::new().run(["--help"]).expect(0).stdout;
-    for word in ["build", "why", "inspect", "check", "export", "doctor", "stage", "64 bad usage"] {
+    for word in ["init", "build", "why", "inspect", "check", "export", "doctor", "stage", "64 bad usage"] {
         assert!(help.contains(word), "{word} is not in\n{help}");
     }
 }
@@ -74,6 +74,53 @@ kind = "pack"
     let said = space.run(["build", "pipeline.toml", "--backend", "cpu"]).expect(1).stderr;
     assert!(said.contains("short:"), "{said}");
     assert!(space.path("out.kiln").exists(), "the nearest result is kept");
+}
+
+/// The chain without a bake, for a `model.gltf`.
+const LEVELS: &str = r#"kiln = 1
+[asset]
+input = "model.gltf"
+output = "out.kiln"
+[[stage]]
+kind = "merge"
+[[stage]]
+kind = "simplify"
+levels = [{ keep = 1.0 }]
+[[stage]]
+kind = "pack"
+"#;
+
+#[test]
+fn repairs_of_import_and_of_merge_are_shown_and_denied_where_asked() {
+    let place = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let faces = [[0, 1, 2], [0, 2, 3]];
+    let up = [[0.0, 0.0, 1.0]; 4];
+    let broken_normal = [[0.0, 0.0, 0.0], up[1], up[2], up[3]];
+    let said = |normals: &[[f32; 3]], faces: &[[u16; 3]], set: &str, code: i32| {
+        let space = Space::new();
+        space.gltf("model", &place, Some(normals), faces);
+        space.write("pipeline.toml", LEVELS);
+        let args = ["build", "pipeline.toml", "--backend", "cpu", "--deny", "warnings", "--set", set];
+        let first = space.run(args).expect(code).stderr;
+        // What is fresh was repaired all the same.
+        assert_eq!(space.run(args).code, code);
+        space.run(&args[..4]).expect(0);
+        first
+    };
+    let (without, with) = ("stage.merge.repair=[]", "stage.merge.repair=[\"duplicate-faces\", \"winding\"]");
+    said(&up, &faces, with, 0);
+    let import = said(&broken_normal, &faces, with, 1);
+    assert!(import.contains("stage import: "), "{import}");
+    let degenerate = said(&up, &[faces[0], [1, 1, 3], faces[1]], without, 1);
+    assert!(degenerate.contains("stage merge: faces with two corners at one point: dropped (1 times"), "{degenerate}");
+    let doubled = [faces[0], faces[1], faces[0]];
+    let duplicate = said(&up, &doubled, with, 1);
+    assert!(duplicate.contains("faces that their submesh has already: dropped (1 times"), "{duplicate}");
+    said(&up, &doubled, without, 0);
+    let flipped = [faces[0], [0, 3, 2]];
+    said(&up, &flipped, without, 0);
+    let winding = said(&up, &flipped, with, 1);
+    assert!(winding.contains("faces wound the wrong way round: turned over (1 times"), "{winding}");
 }
 
 #[test]

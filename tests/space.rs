@@ -82,6 +82,44 @@ impl Space {
         self.write(name, fs::read(repository("fixtures").join(name)).unwrap());
     }
 
+    /// Writes `NAME.gltf` and the `data.bin` beside it: one submesh of these faces, called NAME.
+    pub(crate) fn gltf(&self, name: &str, positions: &[[f32; 3]], normals: Option<&[[f32; 3]]>, faces: &[[u16; 3]]) {
+        let mut bytes: Vec<u8> = positions.iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
+        let (count, length) = (positions.len(), bytes.len());
+        let bound = |start: f32, of: fn(f32, f32) -> f32| {
+            [0, 1, 2].map(|k| positions.iter().map(|p| p[k]).fold(start, of)).to_vec()
+        };
+        let (least, greatest) = (bound(f32::MAX, f32::min), bound(f32::MIN, f32::max));
+        let mut accessors = vec![serde_json::json!({
+            "bufferView": 0, "componentType": 5126, "count": count, "type": "VEC3", "min": least, "max": greatest
+        })];
+        let mut views = vec![serde_json::json!({ "buffer": 0, "byteLength": length })];
+        let mut attributes = serde_json::json!({ "POSITION": 0 });
+        if let Some(normals) = normals {
+            bytes.extend(normals.iter().flatten().flat_map(|c| c.to_le_bytes()));
+            views.push(serde_json::json!({ "buffer": 0, "byteOffset": length, "byteLength": length }));
+            let accessor =
+                serde_json::json!({ "bufferView": 1, "componentType": 5126, "count": count, "type": "VEC3" });
+            accessors.push(accessor);
+            attributes["NORMAL"] = 1.into();
+        }
+        let indices = bytes.len();
+        bytes.extend(faces.iter().flatten().flat_map(|v| v.to_le_bytes()));
+        views.push(serde_json::json!({ "buffer": 0, "byteOffset": indices, "byteLength": 6 * faces.len() }));
+        let list = views.len() - 1;
+        accessors.push(
+            serde_json::json!({ "bufferView": list, "componentType": 5123, "count": 3 * faces.len(), "type": "SCALAR" }),
+        );
+        let model = serde_json::json!({
+            "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "name": name, "mesh": 0 }],
+            "meshes": [{ "primitives": [{ "attributes": attributes, "indices": list }] }],
+            "accessors": accessors, "bufferViews": views,
+            "buffers": [{ "uri": "data.bin", "byteLength": bytes.len() }],
+        });
+        self.write(&format!("{name}.gltf"), model.to_string());
+        self.write("data.bin", bytes);
+    }
+
     /// The command with arguments, in this folder.
     pub(crate) fn command(&self, args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> Command {
         let mut command = Command::new(KILN);

@@ -3,8 +3,20 @@
 use std::{env, fs, path::PathBuf};
 
 /// The crates whose behaviour reaches a stage's output, in the order of [`foreign`](src/foreign.rs)'s table.
-const NAMES: [&str; 9] =
-    ["bevy_mikktspace", "glam", "image", "libm", "obvhs", "serde_json", "uvunwrap", "wgpu", "xatlas-rs-v2"];
+const NAMES: [&str; 12] = [
+    "basisu",
+    "bevy_mikktspace",
+    "draco-core",
+    "glam",
+    "image",
+    "libm",
+    "meshopt",
+    "obvhs",
+    "serde_json",
+    "uvunwrap",
+    "wgpu",
+    "xatlas-rs-v2",
+];
 
 fn main() {
     let lock = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default()).join("../../Cargo.lock");

@@ -211,6 +211,23 @@ pub enum ImageFormat {
     Jpeg,
     /// [`crate::Raster::to_blob`] bytes: what a bake makes.
     Raster,
+    /// WebP.
+    Webp,
+    /// KTX2 with Basis Universal texels.
+    Ktx2,
+}
+
+impl ImageFormat {
+    /// The name in reports: `png`.
+    pub fn name(self) -> &'static str {
+        match self {
+            ImageFormat::Png => "png",
+            ImageFormat::Jpeg => "jpeg",
+            ImageFormat::Raster => "raster",
+            ImageFormat::Webp => "webp",
+            ImageFormat::Ktx2 => "ktx2",
+        }
+    }
 }
 
 /// An image by name and content; its bytes travel beside ([`crate::Asset::images`]).

@@ -105,7 +105,7 @@ impl<'a> Context<'a> {
         let Some(folder) = &self.session.plan.actions[self.action].discovers else {
             return Err(io::Error::new(io::ErrorKind::PermissionDenied, "this action declares no folder to read from"));
         };
-        if !is_inside(relative) {
+        if !is_inside(relative, self.session.plan.actions[self.action].outside) {
             let message = format!("`{relative}` is no relative path inside the model's folder");
             return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
         }
@@ -169,9 +169,13 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A path of plain components only.
-fn is_inside(relative: &str) -> bool {
-    let plain = |component: Component<'_>| matches!(component, Component::Normal(_));
+/// A path of plain components only; where it may go `outside`, with steps up too.
+fn is_inside(relative: &str, outside: bool) -> bool {
+    let plain = |component: Component<'_>| match component {
+        Component::Normal(_) => true,
+        Component::ParentDir => outside,
+        _ => false,
+    };
     !relative.is_empty() && !relative.contains(['\\', '\0']) && Path::new(relative).components().all(plain)
 }
 

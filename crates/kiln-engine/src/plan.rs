@@ -49,6 +49,8 @@ pub struct Action {
     pub inputs: Vec<Input>,
     /// The folder (relative to the plan's root, empty for the root) under which it may find further files while it runs.
     pub discovers: Option<String>,
+    /// Whether such files may also lie outside that folder (paths that start with `..`).
+    pub outside: bool,
     /// What it does.
     pub run: Run,
 }
@@ -73,6 +75,7 @@ impl Action {
             device_class: None,
             inputs: Vec::new(),
             discovers: None,
+            outside: false,
             run: Arc::new(run),
         }
     }

@@ -19,7 +19,7 @@ fn model(path: &str) -> Option<Mesh> {
     let path = PathBuf::from(corpus).join(path);
     let files = Folder(path.parent().unwrap().to_path_buf());
     let (asset, _) = import(&files, path.file_name().unwrap().to_str().unwrap(), &ImportLimits::default()).unwrap();
-    Some(merge(&asset.mesh, &MergeOptions { weld: 1e-5 * asset.mesh.diagonal() }).0)
+    Some(merge(&asset.mesh, &MergeOptions { weld: 1e-5 * asset.mesh.diagonal(), ..Default::default() }).0)
 }
 
 /// Levels of those shares; checks what must hold for every level of every model.

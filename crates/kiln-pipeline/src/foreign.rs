@@ -6,12 +6,18 @@ macro_rules! version {
     };
 }
 
+/// KTX2 of Basis Universal.
+pub(crate) const BASISU: &str = version!("basisu", "BASISU");
+/// Draco.
+pub(crate) const DRACO: &str = version!("draco-core", "DRACO_CORE");
 /// Vectors.
 pub(crate) const GLAM: &str = version!("glam", "GLAM");
-/// PNG and JPEG.
+/// PNG, JPEG and WebP.
 pub(crate) const IMAGE: &str = version!("image", "IMAGE");
 /// Transcendental functions.
 pub(crate) const LIBM: &str = version!("libm", "LIBM");
+/// Decoders of compressed buffer views.
+pub(crate) const MESHOPT: &str = version!("meshopt", "MESHOPT");
 /// The BVH's builder.
 pub(crate) const OBVHS: &str = version!("obvhs", "OBVHS");
 /// JSON.
@@ -30,8 +36,8 @@ pub(crate) const WGPU: &str = version!("wgpu", "WGPU");
 pub(crate) const NUMERIC_CLASS: &str = "rust-ieee754-le";
 
 /// The classes and crates that a container's provenance names.
-pub(crate) fn all() -> [&'static str; 9] {
-    [MIKKTSPACE, GLAM, IMAGE, LIBM, OBVHS, SERDE_JSON, UVUNWRAP, WGPU, XATLAS]
+pub(crate) fn all() -> [&'static str; 12] {
+    [BASISU, MIKKTSPACE, DRACO, GLAM, IMAGE, LIBM, MESHOPT, OBVHS, SERDE_JSON, UVUNWRAP, WGPU, XATLAS]
 }
 
 /// Where the results of C++ are bit-identical: its compiler may use the target's maths and instructions.

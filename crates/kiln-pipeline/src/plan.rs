@@ -238,7 +238,7 @@ impl Planner<'_> {
         let output = paths.place(&pipeline.asset.output.relative_to, &build.output);
         let id = |part: &str| format!("{output}#{part}");
         let label = |part: &str| format!("{} / {part}", build.relative);
-        let import = self.push(stages::import::action(id("import"), label("import"), &input));
+        let import = self.push(stages::import::action(id("import"), label("import"), &input, &pipeline.asset.options));
         let mut actions = vec![(import, "import".to_owned())];
         let mut results: Vec<Placed> = Vec::new();
         let mut container = import;

@@ -11,6 +11,8 @@ use std::process::{Command, Stdio};
 
 use serde_json::Value;
 
+use crate::long::stamp;
+
 /// The models of the table: name, path in the corpus, whether its textures are baked too.
 const MODELS: &[(&str, &str, bool)] = &[
     ("FlightHelmet", "gltf/FlightHelmet/FlightHelmet.gltf", true),
@@ -193,44 +195,4 @@ fn validate(root: &Path, glb: &Path) -> Option<Result<String, String>> {
     let output = Command::new("node").arg("validate.mjs").arg(glb).current_dir(folder).output().ok()?;
     let text = String::from_utf8_lossy(&output.stdout).trim().to_owned();
     Some(if output.status.success() { Ok(text.lines().next().unwrap_or_default().into()) } else { Err(text) })
-}
-
-/// `xtask long`: what CI has no time for. Tables and logs go to `docs/results/`, with date and commit.
-pub(crate) fn long(root: &Path, args: &[String]) -> Result<(), String> {
-    let results = root.join("docs/results");
-    let mut passed: Vec<String> = args.to_vec();
-    passed.extend(["--out".into(), results.join("corpus.md").display().to_string()]);
-    let built = run(root, &passed);
-
-    // Three kills a round.
-    let rounds = 17;
-    let output = Command::new("cargo")
-        .args(["test", "--release", "--locked", "-p", "kiln", "--test", "kiln-tests", "crash"])
-        .env("KILN_CRASH_ROUNDS", rounds.to_string())
-        .current_dir(root)
-        .output()
-        .map_err(|e| e.to_string())?;
-    let said = String::from_utf8_lossy(&output.stdout);
-    let result = said.lines().find(|line| line.starts_with("test result")).unwrap_or("no test ran");
-    let text = format!(
-        "# Kills\n\n{}\n\n{rounds} rounds, each three builds of the common chain killed (SIGKILL) at seeded moments and a last one whose bytes \
-         must equal a clean build's:\n\n```\n{result}\n```\n",
-        stamp(root)
-    );
-    fs::write(results.join("crash.md"), text).map_err(|e| e.to_string())?;
-    built?;
-    if output.status.success() { Ok(()) } else { Err(format!("crash: {said}")) }
-}
-
-/// Date and commit of a result.
-fn stamp(root: &Path) -> String {
-    let said = |program: &str, args: &[&str]| {
-        let output = Command::new(program).args(args).current_dir(root).output().ok();
-        output.map(|o| String::from_utf8_lossy(&o.stdout).trim().to_owned()).unwrap_or_default()
-    };
-    format!(
-        "By `cargo xtask long` on {} at commit {}.",
-        said("date", &["-I"]),
-        said("git", &["rev-parse", "--short", "HEAD"])
-    )
 }

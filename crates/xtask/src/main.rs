@@ -1,21 +1,27 @@
 //! The project's own chores, as `cargo xtask NAME`; `cargo xtask` lists them.
 
 mod corpus;
-mod fixtures;
+mod fuzz;
+mod long;
 mod pictures;
 mod tidy;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+
+use xtask::fixtures;
 
 const HELP: &str = "\
 cargo xtask NAME
 
   tidy                 layering, shader twins, fixture table, default dependencies, machine paths
   fixtures [--check]   write fixtures/ from their generator, or check that they are what it gives
+  fixtures --families DIR
+                       write the malformed and the awkward models that the tests make into DIR
+  fixtures --seeds     write fuzz/seeds and fuzz/siblings
   corpus [NAME...]     build real models end to end (needs KILN_CORPUS); --out FILE writes the table
   pictures ...         render models and containers side by side
-  long                 what takes longer than CI allows; logs go to docs/results/";
+  long [PART]          what takes longer than CI allows: corpus, kills, fuzz; logs go to docs/results/";
 
 fn main() -> ExitCode {
     let mut args = std::env::args().skip(1);
@@ -25,10 +31,15 @@ fn main() -> ExitCode {
     let result = match name.as_str() {
         "tidy" => tidy::run(&root),
         "fixtures" if args.iter().any(|a| a == "--check") => fixtures::check(&root),
+        "fixtures" if args.first().is_some_and(|a| a == "--families") => match args.get(1) {
+            Some(folder) => fixtures::families::run(Path::new(folder)),
+            None => Err("fixtures --families DIR: the folder is missing".into()),
+        },
+        "fixtures" if args.first().is_some_and(|a| a == "--seeds") => fixtures::families::seeds::run(&root),
         "fixtures" => fixtures::run(&root),
         "corpus" => corpus::run(&root, &args),
         "pictures" => pictures::run(&args),
-        "long" => corpus::long(&root, &args),
+        "long" => long::run(&root, &args),
         _ => Err(HELP.into()),
     };
     match result {

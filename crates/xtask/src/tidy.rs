@@ -38,6 +38,7 @@ const LAYERS: &[(&str, &[&str])] = &[
             "kiln-shaders",
         ],
     ),
+    ("kiln-fuzz", &["kiln-asset", "kiln-format", "kiln-pipeline", "kiln-runtime"]),
     (
         "kiln",
         &[
@@ -71,7 +72,7 @@ pub(crate) fn run(root: &Path) -> Result<(), String> {
     shader_twins(root, &mut findings);
     pipelines(root, &mut findings);
     machine_paths(root, &mut findings);
-    if let Err(message) = crate::fixtures::check(root) {
+    if let Err(message) = xtask::fixtures::check(root) {
         findings.push(message);
     }
     if findings.is_empty() {

@@ -5,6 +5,7 @@
 
 use super::error::Defects;
 use super::json::Object;
+use super::meshopt::{self, Encoded};
 use super::report::{Notes, RepairKind};
 use super::source::Bytes;
 
@@ -44,7 +45,7 @@ impl Component {
     }
 
     /// Bytes of one number.
-    fn size(self) -> u64 {
+    pub(super) fn size(self) -> u64 {
         match self {
             Component::I8 | Component::U8 => 1,
             Component::I16 | Component::U16 => 2,
@@ -52,13 +53,26 @@ impl Component {
         }
     }
 
-    /// The largest value of an unsigned type: the restart value of indices, 1.0 of normalised numbers.
+    /// The largest value: the restart value of indices, 1.0 of normalised numbers.
     pub(super) fn greatest(self) -> u32 {
         match self {
+            Component::I8 => i8::MAX as u32,
             Component::U8 => u8::MAX as u32,
+            Component::I16 => i16::MAX as u32,
             Component::U16 => u16::MAX as u32,
-            _ => u32::MAX,
+            Component::U32 | Component::F32 => u32::MAX,
         }
+    }
+
+    /// A number of this type from its bits, widened; normalised ones become `[0, 1]` or `[-1, 1]` (glTF 2.0, 3.6.2.2).
+    fn float(self, bits: u32, normalized: bool) -> f32 {
+        let value = match self {
+            Component::I8 => bits as u8 as i8 as f32,
+            Component::I16 => bits as u16 as i16 as f32,
+            Component::U8 | Component::U16 | Component::U32 => bits as f32,
+            Component::F32 => return f32::from_bits(bits),
+        };
+        if normalized { (value / self.greatest() as f32).max(-1.0) } else { value }
     }
 }
 
@@ -75,6 +89,8 @@ pub(super) struct View {
     /// Bytes.
     pub(super) length: u64,
     stride: Option<u64>,
+    /// What it is decoded from; `buffer` then is one of those that decoding adds behind the file's own.
+    pub(super) encoded: Option<Encoded>,
 }
 
 /// Elements at a fixed step in a buffer; all of them lie inside their view.
@@ -103,7 +119,7 @@ pub(super) struct Accessor {
     pub(super) path: String,
     pub(super) component: Component,
     pub(super) shape: &'static str,
-    lanes: usize,
+    pub(super) lanes: usize,
     pub(super) normalized: bool,
     pub(super) count: u64,
     base: Option<Run>,
@@ -111,6 +127,12 @@ pub(super) struct Accessor {
 }
 
 impl Accessor {
+    /// The same with its elements packed from the start of another buffer: what a decompressor gave for it.
+    pub(super) fn moved(&self, buffer: usize, component: Component) -> Accessor {
+        let size = component.size() as usize * self.lanes;
+        Accessor { component, base: Some(Run { buffer, start: 0, stride: size, size }), sparse: None, ..self.clone() }
+    }
+
     /// Whether any byte of the file stands behind it.
     pub(super) fn has_data(&self) -> bool {
         self.base.is_some() || self.sparse.is_some()
@@ -134,8 +156,43 @@ pub(super) fn read_views(
     buffer_lengths: &[Option<u64>],
     defects: &mut Defects,
 ) -> Vec<Option<View>> {
-    let views = root.objects("bufferViews", defects);
-    views.iter().map(|view| read_view(view.as_ref()?, buffer_lengths, defects)).collect()
+    let mut decoded = buffer_lengths.len();
+    let mut out = Vec::new();
+    for view in root.objects("bufferViews", defects) {
+        let view = view.and_then(|view| match meshopt::extension(&view, defects) {
+            Some(extension) => read_compressed_view(&view, &extension, buffer_lengths, decoded, defects),
+            None => read_view(&view, buffer_lengths, defects),
+        });
+        decoded += view.is_some_and(|view| view.encoded.is_some()) as usize;
+        out.push(view);
+    }
+    out
+}
+
+/// A view whose content is decoded into the buffer `decoded`.
+fn read_compressed_view(
+    view: &Object<'_>,
+    extension: &Object<'_>,
+    buffer_lengths: &[Option<u64>],
+    decoded: usize,
+    defects: &mut Defects,
+) -> Option<View> {
+    view.need_index("buffer", "buffers", buffer_lengths.len(), defects);
+    let length = view.need_unsigned("byteLength", defects);
+    let stride = view.unsigned("byteStride", defects);
+    let encoded = meshopt::read_encoded(extension, buffer_lengths, defects)?;
+    let length = length?;
+    if length > encoded.decoded_length() {
+        let message = format!("{length} bytes, but its compressed data decodes to {}", encoded.decoded_length());
+        defects.invalid(view.path_of("byteLength"), message);
+        return None;
+    }
+    if stride.is_some() && encoded.attribute_stride().is_some_and(|of| stride != Some(of)) {
+        defects.invalid(view.path_of("byteStride"), "is not that of its compressed data");
+        return None;
+    }
+    let stride = encoded.attribute_stride();
+    Some(View { buffer: decoded, start: 0, length, stride, encoded: Some(encoded) })
 }
 
 fn read_view(view: &Object<'_>, buffer_lengths: &[Option<u64>], defects: &mut Defects) -> Option<View> {
@@ -157,7 +214,7 @@ fn read_view(view: &Object<'_>, buffer_lengths: &[Option<u64>], defects: &mut De
         defects.invalid(view.path.clone(), message);
         return None;
     }
-    Some(View { buffer, start, length, stride })
+    Some(View { buffer, start, length, stride, encoded: None })
 }
 
 /// How many elements an accessor may have.
@@ -378,18 +435,14 @@ impl<'a> Reader<'a> {
         self.base.map_or(&[], |(bytes, run)| element(bytes, run, index as usize))
     }
 
-    /// The numbers of one element; lanes that it lacks are `fill`. Normalised integers become `[0, 1]`.
+    /// The numbers of one element; lanes that it lacks are `fill`.
     pub(super) fn floats<const N: usize>(&self, index: u32, fill: f32) -> [f32; N] {
         let bytes = self.element(index);
         std::array::from_fn(|lane| {
             if lane >= self.lanes {
                 return fill;
             }
-            match self.component {
-                Component::F32 => f32::from_bits(unsigned(Component::U32, bytes, lane)),
-                component if self.normalized => unsigned(component, bytes, lane) as f32 / component.greatest() as f32,
-                component => unsigned(component, bytes, lane) as f32,
-            }
+            self.component.float(unsigned(self.component, bytes, lane), self.normalized)
         })
     }
 

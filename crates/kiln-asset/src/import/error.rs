@@ -102,6 +102,11 @@ impl Defects {
         self.io.push(path, message);
     }
 
+    /// How many so far, of all families.
+    pub(super) fn count(&self) -> u64 {
+        [&self.invalid, &self.unsupported, &self.io].iter().map(|family| family.kept.len() as u64 + family.more).sum()
+    }
+
     /// Nothing so far, or the error.
     pub(super) fn check(&mut self) -> Result<(), ImportError> {
         let Defects { invalid, unsupported, io } = std::mem::take(self);

@@ -47,6 +47,9 @@ pub(super) fn flatten(
 
 /// See [`Names`] for the rule.
 fn wished_name(placement: &Placement, mesh: &MeshDef, primitive: usize, material: Option<&Material>) -> String {
+    if let Some(name) = mesh.primitives.get(primitive).map(|def| def.name.trim()).filter(|name| !name.is_empty()) {
+        return name.to_owned();
+    }
     let base = match (placement.name.trim(), mesh.name.trim()) {
         ("", "") => format!("mesh{}", placement.mesh),
         ("", name) | (name, _) => name.to_owned(),

@@ -1,6 +1,9 @@
 //! Images: size from the header alone, decoding within limits.
 
 use std::io::Cursor;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use basisu::{DecodeFlags, TargetFormat, Transcoder};
 
 use super::ImageLimits;
 use super::error::ImportError;
@@ -8,6 +11,7 @@ use crate::material::ImageFormat;
 use crate::raster::Raster;
 
 const PNG_MAGIC: &[u8] = b"\x89PNG\r\n\x1a\n";
+const KTX2_MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
 const JPEG_MAGIC: &[u8] = b"\xFF\xD8\xFF";
 
 /// The format that the first bytes tell, if kiln reads it.
@@ -18,6 +22,10 @@ pub fn image_format(bytes: &[u8]) -> Option<ImageFormat> {
         Some(ImageFormat::Jpeg)
     } else if bytes.starts_with(b"RAST") {
         Some(ImageFormat::Raster)
+    } else if bytes.starts_with(b"RIFF") && bytes.get(8..12) == Some(b"WEBP") {
+        Some(ImageFormat::Webp)
+    } else if bytes.starts_with(KTX2_MAGIC) {
+        Some(ImageFormat::Ktx2)
     } else {
         None
     }
@@ -29,10 +37,12 @@ pub fn image_size(format: ImageFormat, bytes: &[u8]) -> Option<(u32, u32)> {
         ImageFormat::Png => png_size(bytes),
         ImageFormat::Jpeg => jpeg_size(bytes),
         ImageFormat::Raster => raster_size(bytes),
+        ImageFormat::Webp => webp_size(bytes),
+        ImageFormat::Ktx2 => ktx2_size(bytes),
     }
 }
 
-fn big_endian<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
+fn array<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
     bytes.get(at..at.checked_add(N)?)?.try_into().ok()
 }
 
@@ -41,7 +51,7 @@ fn png_size(bytes: &[u8]) -> Option<(u32, u32)> {
     if !bytes.starts_with(PNG_MAGIC) || bytes.get(12..16)? != b"IHDR" {
         return None;
     }
-    Some((u32::from_be_bytes(big_endian(bytes, 16)?), u32::from_be_bytes(big_endian(bytes, 20)?)))
+    Some((u32::from_be_bytes(array(bytes, 16)?), u32::from_be_bytes(array(bytes, 20)?)))
 }
 
 /// JPEG: segments up to the first start of frame (SOF0..SOF15 without the tables DHT, JPG, DAC).
@@ -60,14 +70,14 @@ fn jpeg_size(bytes: &[u8]) -> Option<(u32, u32)> {
             0xFF => at += 1,
             0x01 | 0xD0..=0xD8 => at += 2,
             0xC0..=0xCF if !matches!(marker, 0xC4 | 0xC8 | 0xCC) => {
-                let height = u16::from_be_bytes(big_endian(bytes, at + 5)?);
-                let width = u16::from_be_bytes(big_endian(bytes, at + 7)?);
+                let height = u16::from_be_bytes(array(bytes, at + 5)?);
+                let width = u16::from_be_bytes(array(bytes, at + 7)?);
                 return Some((width as u32, height as u32));
             }
             // Start of scan or end of image before any frame.
             0xDA | 0xD9 => return None,
             _ => {
-                let length = u16::from_be_bytes(big_endian(bytes, at + 2)?) as usize;
+                let length = u16::from_be_bytes(array(bytes, at + 2)?) as usize;
                 if length < 2 {
                     return None;
                 }
@@ -77,12 +87,37 @@ fn jpeg_size(bytes: &[u8]) -> Option<(u32, u32)> {
     }
 }
 
+/// WebP: the first chunk is a lossy frame, a lossless one, or a header for several.
+fn webp_size(bytes: &[u8]) -> Option<(u32, u32)> {
+    let word = |at| Some(u16::from_le_bytes(array(bytes, at)?) as u32);
+    match bytes.get(12..16)? {
+        // Key frame's start code, then 14 bits a side.
+        b"VP8 " if bytes.get(23..26)? == [0x9D, 0x01, 0x2A] => Some((word(26)? & 0x3FFF, word(28)? & 0x3FFF)),
+        b"VP8L" if *bytes.get(20)? == 0x2F => {
+            let bits = u32::from_le_bytes(array(bytes, 21)?);
+            Some(((bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1))
+        }
+        b"VP8X" => {
+            let side = |at: usize| Some(word(at)? | (*bytes.get(at + 2)? as u32) << 16);
+            Some((side(24)? + 1, side(27)? + 1))
+        }
+        _ => None,
+    }
+}
+
+/// KTX2: a fixed header; one picture, that is no depth, no layers, one face.
+fn ktx2_size(bytes: &[u8]) -> Option<(u32, u32)> {
+    let word = |at| Some(u32::from_le_bytes(array(bytes, at)?));
+    let (depth, layers, faces) = (word(28)?, word(32)?, word(36)?);
+    (bytes.starts_with(KTX2_MAGIC) && depth == 0 && layers <= 1 && faces == 1).then_some((word(20)?, word(24)?))
+}
+
 /// Raster blob: tag, version, array of two sizes.
 fn raster_size(bytes: &[u8]) -> Option<(u32, u32)> {
     if !bytes.starts_with(b"RAST") {
         return None;
     }
-    let word = |at| Some(u32::from_le_bytes(big_endian(bytes, at)?));
+    let word = |at| Some(u32::from_le_bytes(array(bytes, at)?));
     Some((word(16)?, word(20)?))
 }
 
@@ -121,7 +156,9 @@ pub fn decode_image(format: ImageFormat, bytes: &[u8], limits: &ImageLimits) -> 
     let codec = match format {
         ImageFormat::Png => image::ImageFormat::Png,
         ImageFormat::Jpeg => image::ImageFormat::Jpeg,
+        ImageFormat::Webp => image::ImageFormat::WebP,
         ImageFormat::Raster => return Raster::from_blob(bytes).map_err(|e| invalid(e.to_string())),
+        ImageFormat::Ktx2 => return transcode(bytes, width, height).map_err(invalid),
     };
     let mut reader = image::ImageReader::with_format(Cursor::new(bytes), codec);
     let mut allowed = image::Limits::default();
@@ -135,4 +172,22 @@ pub fn decode_image(format: ImageFormat, bytes: &[u8], limits: &ImageLimits) -> 
         return Err(invalid(format!("header says {width} x {height}, the data {:?}", picture.dimensions())));
     }
     Ok(Raster { width, height, texels: bytemuck::pod_collect_to_vec(picture.as_raw()) })
+}
+
+/// The finest level of a KTX2 file with Basis Universal texels.
+fn transcode(bytes: &[u8], width: u32, height: u32) -> Result<Raster, String> {
+    // The transcoder has not been seen to panic; should it, that is this picture's end and not the build's.
+    let outcome = catch_unwind(AssertUnwindSafe(|| {
+        let texture = Transcoder::new(bytes)?;
+        texture.transcode(0, TargetFormat::Rgba32, DecodeFlags::NONE)
+    }));
+    let texels = match outcome {
+        Ok(Ok(texels)) => texels,
+        Ok(Err(error)) => return Err(format!("cannot be transcoded: {error:?}")),
+        Err(_) => return Err("cannot be transcoded: the transcoder failed".into()),
+    };
+    if texels.len() as u64 != 4 * width as u64 * height as u64 {
+        return Err(format!("header says {width} x {height}, but there are {} bytes of texels", texels.len()));
+    }
+    Ok(Raster { width, height, texels: bytemuck::pod_collect_to_vec(&texels) })
 }

@@ -89,6 +89,11 @@ impl<'a> Object<'a> {
         }
     }
 
+    /// A string that an application keeps in `extras`, where anything may stand.
+    pub(super) fn extra(&self, key: &str) -> Option<&'a str> {
+        self.map.get("extras")?.get(key)?.as_str()
+    }
+
     pub(super) fn strings(&self, key: &str, defects: &mut Defects) -> Vec<(String, &'a str)> {
         let path = self.path_of(key);
         let mut out = Vec::new();

@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use glam::Vec2;
+
 use super::accessor::View;
 use super::error::{Defects, ImportError};
 use super::image::{check_size, image_format};
@@ -12,16 +14,76 @@ use super::source::{Bytes, Failure, Sources};
 use super::{ImageLimits, ImportLimits};
 use crate::ids::{ImageId, TextureId};
 use crate::material::{
-    AlphaMode, Filter, ImageFormat, ImageInfo, Material, MaterialSet, Sampler, Texture, TextureRef, Wrap,
+    AlphaMode, Filter, ImageFormat, ImageInfo, MapRole, Material, MaterialSet, Sampler, Texture, TextureRef, Wrap,
 };
 
 /// All materials with what they use.
 #[derive(Default)]
 pub(super) struct Library {
     pub(super) set: MaterialSet,
+    /// `[set.materials.len()]`: the UVs that a submesh needs for its material.
+    pub(super) uv_slots: Vec<UvSlots>,
     /// `[set.images.len()]`, encoded bytes.
     pub(super) images: Vec<Arc<[u8]>>,
     pub(super) summaries: Vec<ImageSummary>,
+}
+
+/// An affine map of UVs: `KHR_texture_transform`, which scales, then turns, then moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct UvTransform {
+    offset: [f64; 2],
+    /// Cosine and sine of the angle by which UVs turn, counter-clockwise where V points down.
+    turn: [f64; 2],
+    scale: [f64; 2],
+}
+
+impl UvTransform {
+    pub(super) fn apply(&self, uv: Vec2) -> Vec2 {
+        let ([u, v], [cos, sin]) = ([0, 1].map(|k| f64::from(uv[k]) * self.scale[k]), self.turn);
+        Vec2::new((u * cos + v * sin + self.offset[0]) as f32, (v * cos - u * sin + self.offset[1]) as f32)
+    }
+}
+
+/// Where UVs come from: a set of the file, perhaps transformed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct UvSource {
+    pub(super) set: u64,
+    pub(super) transform: Option<UvTransform>,
+}
+
+impl UvSource {
+    const fn plain(set: u64) -> UvSource {
+        UvSource { set, transform: None }
+    }
+}
+
+/// What a submesh's two UV sets are made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct UvSlots(pub(super) [UvSource; 2]);
+
+impl Default for UvSlots {
+    fn default() -> Self {
+        UvSlots([UvSource::plain(0), UvSource::plain(1)])
+    }
+}
+
+/// Two slots for all `sources` of a material, and the slot of each source; `None` where two do not suffice.
+///
+/// What is plain and of set 0 or 1 keeps its number if all are; else the slots are taken in order, a plain set 0 first.
+fn assign_slots(sources: &[UvSource]) -> Option<(UvSlots, Vec<u32>)> {
+    let UvSlots(mut slots) = UvSlots::default();
+    if sources.iter().any(|source| !slots.contains(source)) {
+        match sources {
+            [one] => slots[0] = *one,
+            [first, second] if *second == UvSource::plain(0) || *first == UvSource::plain(1) => {
+                slots = [*second, *first]
+            }
+            [first, second] => slots = [*first, *second],
+            _ => return None,
+        }
+    }
+    let slot = |source: &UvSource| slots.iter().position(|slot| slot == source).unwrap_or(0) as u32;
+    Some((UvSlots(slots), sources.iter().map(slot).collect()))
 }
 
 /// Reads everything that the document's `materials` use. The material of index `i` in the file keeps that index.
@@ -48,13 +110,31 @@ pub(super) fn read_materials(
         texture_ids: BTreeMap::new(),
         image_ids: BTreeMap::new(),
         origins: BTreeMap::new(),
+        uv_sources: Vec::new(),
         library: Library::default(),
     };
-    for material in root.objects("materials", defects) {
-        let material = match material {
-            Some(material) => read_material(&material, &mut reader, defects, notes),
-            None => Material::default(),
-        };
+    for object in root.objects("materials", defects) {
+        let mut slots = UvSlots::default();
+        let mut material = Material::default();
+        if let Some(object) = object {
+            reader.uv_sources.clear();
+            material = read_material(&object, &mut reader, defects, notes);
+            match assign_slots(&reader.uv_sources) {
+                Some((assigned, places)) => {
+                    slots = assigned;
+                    for role in MapRole::ALL {
+                        if let Some(map) = material.map_mut(role) {
+                            map.uv_set = places[map.uv_set as usize];
+                        }
+                    }
+                }
+                None => defects.unsupported(
+                    object.path,
+                    format!("its textures need {} different sets of UVs; two are carried", reader.uv_sources.len()),
+                ),
+            }
+        }
+        reader.library.uv_slots.push(slots);
         reader.library.set.materials.push(material);
     }
     reader.library
@@ -68,7 +148,20 @@ fn read_material(
 ) -> Material {
     let mut out =
         Material { name: object.string("name", defects).unwrap_or_default().to_owned(), ..Default::default() };
-    note_extensions(object, &[], defects, notes);
+    note_extensions(object, &[EMISSIVE_STRENGTH, SPECULAR_GLOSSINESS], defects, notes);
+    let extension = |name, defects: &mut Defects| object.object("extensions", defects)?.object(name, defects);
+    if let Some(old) = extension(SPECULAR_GLOSSINESS, defects).filter(|_| !object.has("pbrMetallicRoughness")) {
+        // The diffuse colour of what is no metal is its base colour; glossiness is what roughness lacks to 1. What a picture
+        // says of specular colour and gloss is not carried.
+        if let Some(factor) = old.floats::<4>("diffuseFactor", defects) {
+            out.base_color_factor = clamped(factor, &old.path_of("diffuseFactor"), notes);
+        }
+        out.base_color = textures.reference(&old, "diffuseTexture", defects, notes);
+        out.metallic_factor = 0.0;
+        out.roughness_factor = 1.0 - unit(&old, "glossinessFactor", 1.0, defects, notes);
+        notes.not_carried("specular colours of materials", 1);
+        notes.not_carried("specular-glossiness textures", old.has("specularGlossinessTexture") as u64);
+    }
     if let Some(pbr) = object.object("pbrMetallicRoughness", defects) {
         if let Some(factor) = pbr.floats::<4>("baseColorFactor", defects) {
             out.base_color_factor = clamped(factor, &pbr.path_of("baseColorFactor"), notes);
@@ -90,6 +183,12 @@ fn read_material(
     if let Some(factor) = object.floats::<3>("emissiveFactor", defects) {
         out.emissive_factor = clamped(factor, &object.path_of("emissiveFactor"), notes);
     }
+    if let Some(strength) = extension(EMISSIVE_STRENGTH, defects) {
+        let path = strength.path_of("emissiveStrength");
+        let strength = strength.float("emissiveStrength", defects).unwrap_or(1.0);
+        notes.repair(RepairKind::FactorClamped, (strength < 0.0) as u64, || path.clone());
+        out.emissive_factor = out.emissive_factor.map(|factor| factor * strength.max(0.0));
+    }
     out.alpha_mode = match object.string("alphaMode", defects) {
         None | Some("OPAQUE") => AlphaMode::Opaque,
         Some("MASK") => AlphaMode::Mask,
@@ -105,6 +204,9 @@ fn read_material(
     out.double_sided = object.boolean("doubleSided", defects).unwrap_or(false);
     out
 }
+
+const EMISSIVE_STRENGTH: &str = "KHR_materials_emissive_strength";
+const SPECULAR_GLOSSINESS: &str = "KHR_materials_pbrSpecularGlossiness";
 
 fn unit(object: &Object<'_>, key: &str, default: f32, defects: &mut Defects, notes: &mut Notes) -> f32 {
     let value = object.float(key, defects).unwrap_or(default);
@@ -161,8 +263,11 @@ fn read_sampler(object: &Object<'_>, defects: &mut Defects) -> Sampler {
     Sampler { wrap_u, wrap_v, mag, min, mip }
 }
 
-/// Extensions by which a texture has a source that kiln does not decode.
-const TEXTURE_SOURCES: [&str; 4] = ["KHR_texture_basisu", "EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds"];
+/// Extensions by which a texture has a source in another format, best first. A plain `source` beside them comes before all: it
+/// is the same picture with less loss.
+const SOURCES: [&str; 2] = ["EXT_texture_webp", "KHR_texture_basisu"];
+/// The same of formats that kiln does not decode.
+const OTHER_SOURCES: [&str; 2] = ["EXT_texture_avif", "MSFT_texture_dds"];
 
 /// Where an image's bytes come from; equal origins are one image.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -185,11 +290,13 @@ struct Textures<'j, 'b, 'f> {
     texture_ids: BTreeMap<usize, Option<TextureId>>,
     image_ids: BTreeMap<usize, Option<ImageId>>,
     origins: BTreeMap<Origin, ImageId>,
+    /// Different UVs that the material at hand reads.
+    uv_sources: Vec<UvSource>,
     library: Library,
 }
 
 impl Textures<'_, '_, '_> {
-    /// The texture that `object.key` refers to.
+    /// The texture that `object.key` refers to; its `uv_set` is an index into `uv_sources`.
     fn reference(
         &mut self,
         object: &Object<'_>,
@@ -201,19 +308,11 @@ impl Textures<'_, '_, '_> {
         let info = object.object(key, defects)?;
         note_extensions(&info, &[TRANSFORM], defects, notes);
         let transform = info.object("extensions", defects).and_then(|e| e.object(TRANSFORM, defects));
-        if let Some(transform) = transform
-            && !is_identity(&transform, defects)
-        {
-            defects.unsupported(transform.path, "UV transforms are not read; apply it to the UVs");
-            return None;
-        }
-        let set = if info.has("texCoord") { info.unsigned("texCoord", defects) } else { Some(0) };
+        let set_at = transform.as_ref().filter(|transform| transform.has("texCoord")).unwrap_or(&info);
+        let set = if set_at.has("texCoord") { set_at.unsigned("texCoord", defects) } else { Some(0) };
+        let transform = transform.and_then(|transform| read_uv_transform(&transform, defects));
         let index = info.need_index("index", "textures", self.textures.len(), defects)?;
         let set = set?;
-        if set > 1 {
-            defects.unsupported(info.path_of("texCoord"), format!("UV set {set}; only 0 and 1 are read"));
-            return None;
-        }
         let texture = match self.texture_ids.get(&index) {
             Some(known) => *known,
             None => {
@@ -222,28 +321,39 @@ impl Textures<'_, '_, '_> {
                 read
             }
         };
-        Some(TextureRef { texture: texture?, uv_set: set as u32 })
+        let (texture, source) = (texture?, UvSource { set, transform });
+        let uv_set = self.uv_sources.iter().position(|known| *known == source).unwrap_or_else(|| {
+            self.uv_sources.push(source);
+            self.uv_sources.len() - 1
+        });
+        Some(TextureRef { texture, uv_set: uv_set as u32 })
     }
 
     fn texture(&mut self, index: usize, defects: &mut Defects, notes: &mut Notes) -> Option<TextureId> {
         let texture = self.textures[index].clone()?;
-        note_extensions(&texture, &[], defects, notes);
+        note_extensions(&texture, &SOURCES, defects, notes);
         let sampler = match texture.has("sampler") {
             true => self.samplers[texture.index("sampler", "samplers", self.samplers.len(), defects)?],
             false => Sampler::default(),
         };
-        if !texture.has("source") {
-            let extensions = texture.object("extensions", defects);
-            match extensions.and_then(|e| TEXTURE_SOURCES.iter().find(|name| e.has(name))) {
-                Some(name) => defects.unsupported(
-                    format!("{}.extensions.{name}", texture.path),
-                    "only PNG and JPEG images are read; give the texture a `source` of these",
-                ),
-                None => defects.invalid(texture.path_of("source"), "is missing: a material uses this texture"),
+        let extensions = texture.object("extensions", defects);
+        let named = |names: &[&'static str]| {
+            names.iter().copied().find(|name| extensions.as_ref().is_some_and(|extensions| extensions.has(name)))
+        };
+        let source_at = match (texture.has("source"), named(&SOURCES), named(&OTHER_SOURCES)) {
+            (true, ..) => texture,
+            (false, Some(name), _) => extensions.as_ref()?.object(name, defects)?,
+            (false, None, Some(name)) => {
+                let path = format!("{}.extensions.{name}", texture.path);
+                defects.unsupported(path, format!("{FORMATS} are read; give the texture a `source` of these"));
+                return None;
             }
-            return None;
-        }
-        let source = texture.index("source", "images", self.images.len(), defects)?;
+            (false, None, None) => {
+                defects.invalid(texture.path_of("source"), "is missing: a material uses this texture");
+                return None;
+            }
+        };
+        let source = source_at.need_index("source", "images", self.images.len(), defects)?;
         let image = match self.image_ids.get(&source) {
             Some(known) => *known,
             None => {
@@ -280,7 +390,11 @@ impl Textures<'_, '_, '_> {
             }
             (false, true) => {
                 let view = image.index("bufferView", "bufferViews", self.views.len(), defects)?;
-                let View { buffer, start, length, .. } = self.views[view]?;
+                let View { buffer, start, length, encoded, .. } = self.views[view]?;
+                if encoded.is_some() {
+                    defects.unsupported(image.path_of("bufferView"), "an image in a compressed view");
+                    return None;
+                }
                 let origin = Origin::Range(buffer, start, length);
                 if let Some(known) = self.origins.get(&origin) {
                     return Some(*known);
@@ -314,9 +428,8 @@ impl Textures<'_, '_, '_> {
             Some(name) => name.to_owned(),
             None => file.as_deref().map_or_else(|| format!("image{index}"), stem),
         };
-        let kind = if format == ImageFormat::Png { "png" } else { "jpeg" };
-        let summary =
-            ImageSummary { name: name.clone(), format: kind.into(), width, height, bytes: bytes.len() as u64 };
+        let kind = format.name().to_owned();
+        let summary = ImageSummary { name: name.clone(), format: kind, width, height, bytes: bytes.len() as u64 };
         self.library.summaries.push(summary);
         self.library.set.images.push(ImageInfo { name, format, hash: *blake3::hash(&bytes).as_bytes() });
         self.library.images.push(bytes);
@@ -335,37 +448,45 @@ impl Textures<'_, '_, '_> {
             None => None,
             Some("image/png") => Some(ImageFormat::Png),
             Some("image/jpeg" | "image/jpg") => Some(ImageFormat::Jpeg),
+            Some("image/webp") => Some(ImageFormat::Webp),
+            Some("image/ktx2") => Some(ImageFormat::Ktx2),
             Some(other) => {
-                defects.unsupported(image.path_of("mimeType"), format!("`{other}`; only PNG and JPEG are read"));
+                defects.unsupported(image.path_of("mimeType"), format!("`{other}`; {FORMATS} are read"));
                 return None;
             }
         };
         match image_format(bytes) {
-            Some(found @ (ImageFormat::Png | ImageFormat::Jpeg)) => {
+            Some(found) if found != ImageFormat::Raster => {
                 let wrong = claimed.is_some_and(|claimed| claimed != found);
                 notes.repair(RepairKind::MimeTypeWrong, wrong as u64, || image.path_of("mimeType"));
                 Some(found)
             }
             _ if claimed.is_some() => {
-                defects.invalid(image.path.clone(), "its bytes are neither PNG nor JPEG");
+                defects.invalid(image.path.clone(), format!("its bytes are none of {FORMATS}"));
                 None
             }
             _ => {
-                defects.unsupported(image.path.clone(), "its bytes are neither PNG nor JPEG, which alone are read");
+                defects
+                    .unsupported(image.path.clone(), format!("its bytes are none of {FORMATS}, which alone are read"));
                 None
             }
         }
     }
 }
 
-fn is_identity(transform: &Object<'_>, defects: &mut Defects) -> bool {
-    transform.floats::<2>("offset", defects).is_none_or(|o| o == [0.0; 2])
-        && transform.floats::<2>("scale", defects).is_none_or(|s| s == [1.0; 2])
-        && transform.float("rotation", defects).is_none_or(|r| r == 0.0)
-        && !transform.has("texCoord")
+/// The formats of images, to be read by people.
+pub(super) const FORMATS: &str = "PNG, JPEG, WebP and KTX2 of Basis Universal";
+
+/// A transform of UVs; `None` for the identity.
+fn read_uv_transform(object: &Object<'_>, defects: &mut Defects) -> Option<UvTransform> {
+    let offset = object.floats::<2>("offset", defects).unwrap_or([0.0; 2]);
+    let scale = object.floats::<2>("scale", defects).unwrap_or([1.0; 2]);
+    let angle = f64::from(object.float("rotation", defects).unwrap_or(0.0));
+    let identity = offset == [0.0; 2] && scale == [1.0; 2] && angle == 0.0;
+    (!identity).then(|| UvTransform { offset, turn: [libm::cos(angle), libm::sin(angle)], scale })
 }
 
-fn stem(path: &str) -> String {
+pub(super) fn stem(path: &str) -> String {
     let name = path.rsplit('/').next().unwrap_or(path);
     name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_owned()
 }

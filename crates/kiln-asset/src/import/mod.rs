@@ -1,4 +1,6 @@
-//! Import: the door for model files. glTF 2.0 and GLB in, a validated [`Asset`] in object space and a report out.
+//! Import: the door for model files. glTF 2.0 (text and GLB), OBJ or PLY in, a validated [`Asset`] in object space and a report
+//! out. This page is about glTF; `obj` and `ply` have their own, and share the errors, the report, the check of images and the
+//! last step.
 //!
 //! **Problem.** A file from anywhere may be wrong in every value. What is accepted must be right: never a guess, never a panic,
 //! never more memory than the file's length justifies, and all defects told in one go, each with its path.
@@ -12,33 +14,45 @@
 //! meshes          each attribute's accessor against the core table                (primitive)
 //! nodes           forest check, then an iterative walk -> placements              (scene)
 //! limits          sums over placements, before any content is read
+//! decompression   meshopt views, Draco primitives -> buffers                    (meshopt, draco)
 //! contents        indices in range, positions finite; soft trouble repaired       (primitive)
 //! flatten         each placed primitive a submesh, in f64, mirrors turned over    (flatten)
 //! ```
 //! Steps up to *nodes* go on after a defect and gather more; what depends on a defective part is left out.
 //!
 //! **Rules.** Names of submeshes: the node's, or its mesh's, or `mesh<i>`; for meshes of several primitives then `/` and the
-//! material's name or the primitive's number; repeats get `#2`, `#3`. Submeshes stand depth first in the order of the nodes.
-//! Where some submeshes have an attribute and others lack it, the others get normals +Z, tangents +X, UVs 0, colours 1,
+//! material's name or the primitive's number; what kiln exported says its names in `extras`; repeats get `#2`, `#3`. Submeshes
+//! stand depth first in the order of the nodes. Where some submeshes have an attribute and others lack it, the others get normals +Z, tangents +X, UVs 0, colours 1,
 //! weights 0 ([`crate::AttributeSet`] remembers). Soft trouble is repaired as [`RepairKind`] says and reported.
 //!
+//! UV transforms are applied to the UVs; a material whose textures need more than two different sets of UVs is refused.
+//!
 //! **Limits.** Not carried, and listed in the report: skins (the bind pose is kept), animations, morph targets, cameras, lights,
-//! further UV and colour sets, material extensions. Refused by name: required extensions, compressed and quantised geometry, UV
-//! transforms other than the identity, GPU instancing, points and lines, images other than PNG and JPEG.
+//! UV sets that no texture reads, further colour sets, material extensions but for emissive strength and the colour and gloss
+//! factors of specular-glossiness. Refused by name: other required extensions, points and lines, images other
+//! than PNG, JPEG, WebP and KTX2 of Basis Universal.
 //!
 //! **Source.** glTF 2.0 Specification, The Khronos Group, version 2.0.1, 2021 (ISO/IEC 12113:2022).
 
 mod accessor;
 mod container;
+mod draco;
 mod error;
 mod flatten;
 mod image;
 mod json;
 mod material;
+mod meshopt;
+mod obj;
+mod picture;
+mod ply;
+mod polygon;
 mod primitive;
 mod report;
 mod scene;
+mod soup;
 mod source;
+mod text;
 mod uri;
 
 #[cfg(test)]
@@ -64,10 +78,11 @@ use crate::mesh::Mesh;
 
 /// The files of a model's folder.
 pub trait Files {
-    /// The bytes of a file. `relative`: '/'-separated, below the model's folder, already checked not to leave it.
+    /// The bytes of a file. `relative`: '/'-separated, seen from the model's folder; already checked to stay below it, unless
+    /// [`ImportLimits::allow_outside`] lets it start with `..`.
     ///
     /// # Errors
-    /// The system's. [`io::ErrorKind::NotFound`] for an image is soft trouble, for anything else fatal.
+    /// The system's. [`io::ErrorKind::NotFound`] for an image or a material library is soft trouble, for anything else fatal.
     fn read(&self, relative: &str) -> io::Result<Vec<u8>>;
 
     /// Like [`Files::read`], where a file of more than `limit` bytes need not be read to its end: whatever comes back longer than
@@ -129,6 +144,8 @@ pub struct ImportLimits {
     pub max_node_depth: u32,
     /// Limits on images.
     pub images: ImageLimits,
+    /// Whether the model may refer to files outside its own folder. Default: it may not.
+    pub allow_outside: bool,
 }
 
 impl Default for ImportLimits {
@@ -141,15 +158,19 @@ impl Default for ImportLimits {
             max_submeshes: 1 << 20,
             max_node_depth: 4096,
             images: ImageLimits::default(),
+            allow_outside: false,
         }
     }
 }
 
-/// Whether [`import`] takes a file of this name: `.glb` or `.gltf` in any case.
+/// Whether [`import`] takes a file of this name: `.glb`, `.gltf`, `.obj` or `.ply` in any case.
 pub fn is_supported_path(path: &str) -> bool {
-    let extension =
-        path.rsplit(['/', '\\']).next().and_then(|name| name.rsplit_once('.')).map(|(_, extension)| extension);
-    extension.is_some_and(|e| e.eq_ignore_ascii_case("glb") || e.eq_ignore_ascii_case("gltf"))
+    ["glb", "gltf", "obj", "ply"].iter().any(|extension| has_extension(path, extension))
+}
+
+fn has_extension(path: &str, extension: &str) -> bool {
+    let name = path.rsplit(['/', '\\']).next().unwrap_or(path);
+    name.rsplit_once('.').is_some_and(|(_, found)| found.eq_ignore_ascii_case(extension))
 }
 
 /// The model in `main`, with all files that it refers to, flattened into one mesh in object space.
@@ -158,7 +179,7 @@ pub fn is_supported_path(path: &str) -> bool {
 /// All defects of the gravest family found: see [`ImportError`].
 pub fn import(files: &dyn Files, main: &str, limits: &ImportLimits) -> Result<(Asset, ImportReport), ImportError> {
     if !is_supported_path(main) {
-        return Err(ImportError::unsupported(main, "only .glb and .gltf models are read"));
+        return Err(ImportError::unsupported(main, "only .glb, .gltf, .obj and .ply models are read"));
     }
     let mut sources = Sources::new(files, limits);
     let bytes = sources.file(main).map_err(|failure| match failure {
@@ -167,6 +188,12 @@ pub fn import(files: &dyn Files, main: &str, limits: &ImportLimits) -> Result<(A
             ImportError::Io(vec![Defect { path: main.to_owned(), message }])
         }
     })?;
+    if has_extension(main, "obj") {
+        return obj::import(main, &bytes, &mut sources, limits);
+    }
+    if has_extension(main, "ply") {
+        return ply::import(main, &bytes, &mut sources, limits);
+    }
     let shell = container::open(main, &bytes, limits)?;
     let mut defects = Defects::default();
     let Some(root) = Object::root(&shell.json, &mut defects) else {
@@ -177,22 +204,23 @@ pub fn import(files: &dyn Files, main: &str, limits: &ImportLimits) -> Result<(A
     let mut report = ImportReport { format: shell.format, ..Default::default() };
     read_head(&root, &mut report, &mut defects);
 
-    let (lengths, buffers) = source::read_buffers(&root, shell.binary, &mut sources, &mut defects);
+    let (lengths, mut buffers) = source::read_buffers(&root, shell.binary, &mut sources, &mut defects);
     let views = accessor::read_views(&root, &lengths, &mut defects);
     let most = MostElements {
         stored: limits.max_triangles.saturating_mul(3).max(limits.max_vertices).min(u32::MAX as u64),
         // No more zeros than the model has bytes.
         zeros: lengths.iter().flatten().fold(0, |sum, length| sum.saturating_add(*length)),
     };
-    let accessors = accessor::read_accessors(&root, &views, most, &mut defects, &mut notes);
+    let mut accessors = accessor::read_accessors(&root, &views, most, &mut defects, &mut notes);
     let library = material::read_materials(&root, &views, &buffers, &mut sources, limits, &mut defects, &mut notes);
     let context = Context {
         accessors: &accessors,
-        material_count: library.set.materials.len(),
+        view_count: views.len(),
+        uv_slots: &library.uv_slots,
         quantized: report.extensions_used.iter().any(|e| e == "KHR_mesh_quantization"),
     };
-    let meshes = primitive::read_meshes(&root, &context, &mut defects, &mut notes);
-    let placements = scene::read_placements(&root, meshes.len(), limits, &mut defects, &mut notes);
+    let mut meshes = primitive::read_meshes(&root, &context, &mut defects, &mut notes);
+    let placements = scene::read_placements(&root, meshes.len(), &context, limits, &mut defects, &mut notes);
     note_not_carried(&root, &mut notes);
     defects.check()?;
     check_sums(&placements, &meshes, limits)?;
@@ -200,6 +228,10 @@ pub fn import(files: &dyn Files, main: &str, limits: &ImportLimits) -> Result<(A
     let mut placed = vec![false; meshes.len()];
     placements.iter().for_each(|placement| placed[placement.mesh] = true);
     notes.not_carried("meshes that the scene does not place", placed.iter().filter(|placed| !**placed).count() as u64);
+    meshopt::decode_views(&views, &mut buffers, limits.max_file_bytes, &mut defects);
+    draco::decode_primitives(&mut meshes, &placed, &views, &mut accessors, &mut buffers, &mut defects);
+    defects.check()?;
+    let placements = scene::spread(placements, &accessors, &buffers, &mut defects, &mut notes);
     let mut contents = Vec::with_capacity(meshes.len());
     for (mesh, placed) in meshes.iter().zip(placed) {
         let primitives = if placed { mesh.primitives.as_slice() } else { &[] };
@@ -241,14 +273,29 @@ fn read_head(root: &Object<'_>, report: &mut ImportReport, defects: &mut Defects
             defects.unsupported(asset.path_of("minVersion"), format!("glTF {version} at least; 2.0 is read"));
         }
     }
-    for (path, name) in root.strings("extensionsRequired", defects) {
+    let unknown = |name: &str| !EXTENSIONS.contains(&name);
+    for (path, name) in root.strings("extensionsRequired", defects).into_iter().filter(|(_, name)| unknown(name)) {
         defects.unsupported(path, format!("the model cannot be read without {name}, which kiln does not know"));
     }
     let used = root.strings("extensionsUsed", defects);
     report.extensions_used = used.into_iter().map(|(_, name)| name.to_owned()).collect();
-    // Every extension that has an influence is refused where it is in use, so what is left had none.
-    report.extensions_ignored = report.extensions_used.clone();
+    // Every other extension that has an influence is refused where it is in use, so what is left had none.
+    report.extensions_ignored = report.extensions_used.iter().filter(|name| unknown(name)).cloned().collect();
 }
+
+/// Extensions that are read wherever they occur.
+pub const EXTENSIONS: [&str; 10] = [
+    "EXT_mesh_gpu_instancing",
+    "EXT_meshopt_compression",
+    "EXT_texture_webp",
+    "KHR_draco_mesh_compression",
+    "KHR_materials_emissive_strength",
+    "KHR_materials_pbrSpecularGlossiness",
+    "KHR_mesh_quantization",
+    "KHR_meshopt_compression",
+    "KHR_texture_basisu",
+    "KHR_texture_transform",
+];
 
 fn note_not_carried(root: &Object<'_>, notes: &mut Notes) {
     for what in ["animations", "skins", "cameras"] {
@@ -264,10 +311,11 @@ fn check_sums(placements: &[Placement], meshes: &[MeshDef], limits: &ImportLimit
     let (mut vertices, mut triangles, mut replaced, mut submeshes) = (0u64, 0u64, 0u64, 0u64);
     for placement in placements {
         for primitive in &meshes[placement.mesh].primitives {
-            vertices = vertices.saturating_add(primitive.used_vertices_at_most());
-            triangles = triangles.saturating_add(primitive.triangle_count());
-            replaced = replaced.saturating_add(primitive.replaced_count);
-            submeshes += 1;
+            let times = placement.instances.map_or(1, |instances| instances.count);
+            vertices = vertices.saturating_add(times.saturating_mul(primitive.used_vertices_at_most()));
+            triangles = triangles.saturating_add(times.saturating_mul(primitive.triangle_count()));
+            replaced = replaced.saturating_add(times.saturating_mul(primitive.replaced_count));
+            submeshes = submeshes.saturating_add(times);
         }
     }
     let mut defects = Defects::default();

@@ -3,9 +3,10 @@
 use glam::{DVec3, Vec2, Vec3, Vec4};
 
 use super::accessor::{Accessor, Component, Reader};
+use super::draco::{self, DracoDef};
 use super::error::Defects;
 use super::json::Object;
-use super::material::note_extensions;
+use super::material::{UvSlots, UvTransform, note_extensions};
 use super::report::{Notes, RepairKind};
 use super::source::Bytes;
 use crate::mesh::AttributeSet;
@@ -27,10 +28,16 @@ pub(super) struct MeshDef {
 /// A primitive whose accessors suit their use.
 pub(super) struct PrimitiveDef {
     path: String,
+    /// The submesh's name, where an export of kiln's wrote it down; else empty.
+    pub(super) name: String,
     mode: Mode,
-    indices: Option<usize>,
+    pub(super) indices: Option<usize>,
     /// Accessors by [`Semantic`].
-    attributes: [Option<usize>; SEMANTICS.len()],
+    pub(super) attributes: [Option<usize>; SEMANTICS.len()],
+    /// What is done to each set of UVs.
+    uv_transforms: [Option<UvTransform>; 2],
+    /// Where the contents are compressed.
+    pub(super) draco: Option<DracoDef>,
     pub(super) material: Option<usize>,
     /// Vertices stored.
     pub(super) vertex_count: u64,
@@ -52,6 +59,12 @@ impl PrimitiveDef {
             Mode::Strip | Mode::Fan => self.corner_count.saturating_sub(2),
         }
     }
+
+    /// From now on it has three corners for every triangle that it had.
+    pub(super) fn unroll(&mut self) {
+        self.corner_count = 3 * self.triangle_count();
+        self.mode = Mode::Triangles;
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -66,32 +79,78 @@ enum Semantic {
     Weights,
 }
 
-type Rule = (&'static str, &'static [&'static str], &'static [(Component, bool)]);
+/// A component type, normalised or not.
+pub(super) type Number = (Component, bool);
 
-const FLOAT: &[(Component, bool)] = &[(Component::F32, false)];
-const UNIT: &[(Component, bool)] = &[(Component::F32, false), (Component::U8, true), (Component::U16, true)];
-const SMALL: &[(Component, bool)] = &[(Component::U8, false), (Component::U16, false)];
-const INDEX: &[(Component, bool)] = &[(Component::U8, false), (Component::U16, false), (Component::U32, false)];
+/// What an accessor may be in one use.
+#[derive(Clone, Copy)]
+pub(super) struct Rule {
+    shapes: &'static [&'static str],
+    core: &'static [Number],
+    /// What `KHR_mesh_quantization` adds.
+    quantized: &'static [Number],
+}
 
-/// What core glTF 2.0 (3.7.2.1) allows for each attribute, in the order of [`Semantic`].
-const SEMANTICS: [Rule; 8] = [
-    ("POSITION", &["VEC3"], FLOAT),
-    ("NORMAL", &["VEC3"], FLOAT),
-    ("TANGENT", &["VEC4"], FLOAT),
-    ("TEXCOORD_0", &["VEC2"], UNIT),
-    ("TEXCOORD_1", &["VEC2"], UNIT),
-    ("COLOR_0", &["VEC3", "VEC4"], UNIT),
-    ("JOINTS_0", &["VEC4"], SMALL),
-    ("WEIGHTS_0", &["VEC4"], UNIT),
+pub(super) const fn rule(
+    shapes: &'static [&'static str],
+    core: &'static [Number],
+    quantized: &'static [Number],
+) -> Rule {
+    Rule { shapes, core, quantized }
+}
+
+pub(super) const FLOAT: &[Number] = &[(Component::F32, false)];
+const UNIT: &[Number] = &[(Component::F32, false), (Component::U8, true), (Component::U16, true)];
+const SMALL: &[Number] = &[(Component::U8, false), (Component::U16, false)];
+const WIDTHS: &[Number] = &[(Component::U8, false), (Component::U16, false), (Component::U32, false)];
+pub(super) const SIGNED: &[Number] = &[(Component::I8, true), (Component::I16, true)];
+const ANY: &[Number] = &[
+    (Component::I8, false),
+    (Component::I8, true),
+    (Component::U8, false),
+    (Component::U8, true),
+    (Component::I16, false),
+    (Component::I16, true),
+    (Component::U16, false),
+    (Component::U16, true),
 ];
 
-const DRACO: &str = "KHR_draco_mesh_compression";
+/// What core glTF 2.0 (3.7.2.1) and the quantisation extension allow for each attribute, in the order of [`Semantic`].
+const SEMANTICS: [Rule; 8] = [
+    rule(&["VEC3"], FLOAT, ANY),
+    rule(&["VEC3"], FLOAT, SIGNED),
+    rule(&["VEC4"], FLOAT, SIGNED),
+    rule(&["VEC2"], UNIT, ANY),
+    rule(&["VEC2"], UNIT, ANY),
+    rule(&["VEC3", "VEC4"], UNIT, &[]),
+    rule(&["VEC4"], SMALL, &[]),
+    rule(&["VEC4"], UNIT, &[]),
+];
+const INDEX: Rule = rule(&["SCALAR"], WIDTHS, &[]);
+
+/// The attributes' names in the order of [`Semantic`]; which UV sets are read, the material decides.
+fn names(slots: &UvSlots) -> [String; SEMANTICS.len()] {
+    let [uv0, uv1] = slots.0.map(|slot| format!("TEXCOORD_{}", slot.set));
+    [
+        "POSITION".into(),
+        "NORMAL".into(),
+        "TANGENT".into(),
+        uv0,
+        uv1,
+        "COLOR_0".into(),
+        "JOINTS_0".into(),
+        "WEIGHTS_0".into(),
+    ]
+}
+
 const QUANTIZATION: &str = "KHR_mesh_quantization";
 
 /// What primitives are judged against.
 pub(super) struct Context<'a> {
     pub(super) accessors: &'a [Option<Accessor>],
-    pub(super) material_count: usize,
+    pub(super) view_count: usize,
+    /// `[material_count]`.
+    pub(super) uv_slots: &'a [UvSlots],
     /// `KHR_mesh_quantization` is in use.
     pub(super) quantized: bool,
 }
@@ -128,28 +187,31 @@ fn read_primitive(
     defects: &mut Defects,
     notes: &mut Notes,
 ) -> Option<PrimitiveDef> {
-    note_extensions(object, &[], defects, notes);
+    note_extensions(object, &[draco::EXTENSION], defects, notes);
     notes.not_carried("morph targets", object.count("targets") as u64);
     let mode = read_mode(object, defects);
     let material = match object.has("material") {
-        true => Some(object.index("material", "materials", context.material_count, defects)?),
+        true => Some(object.index("material", "materials", context.uv_slots.len(), defects)?),
         false => None,
     };
     let list = object.need_object("attributes", defects)?;
-    for name in list.keys().filter(|name| SEMANTICS.iter().all(|rule| rule.0 != *name)) {
+    let slots = material.map_or(UvSlots::default(), |material| context.uv_slots[material]);
+    let names = names(&slots);
+    for name in list.keys().filter(|name| names.iter().all(|known| known != name)) {
         notes.not_carried(&format!("attribute {name}"), 1);
         list.index(name, "accessors", context.accessors.len(), defects);
     }
-    let draco = object.object("extensions", defects).is_some_and(|e| e.has(DRACO));
+    let draco = draco::read(object, &names, context.view_count, defects)?;
     let mut attributes = [None; SEMANTICS.len()];
     let mut vertex_count = None;
     let mut replaced_count = 0u64;
     let mut whole = true;
-    for (slot, rule) in attributes.iter_mut().zip(SEMANTICS) {
-        if !list.has(rule.0) {
+    for (semantic, (slot, name)) in attributes.iter_mut().zip(&names).enumerate() {
+        if !list.has(name) {
             continue;
         }
-        let Some((index, accessor)) = usable(&list, rule, context, draco, defects) else {
+        let stands_in = draco.as_ref().is_some_and(|draco| draco.has(semantic));
+        let Some((index, accessor)) = usable(&list, name, SEMANTICS[semantic], context, stands_in, defects) else {
             whole = false;
             continue;
         };
@@ -158,7 +220,7 @@ fn read_primitive(
         let count = *vertex_count.get_or_insert(accessor.count);
         if count != accessor.count {
             let message = format!("{} elements, but the first attribute has {count}", accessor.count);
-            defects.invalid(list.path_of(rule.0), message);
+            defects.invalid(list.path_of(name), message);
             whole = false;
         }
     }
@@ -172,7 +234,7 @@ fn read_primitive(
     let mut corner_count = vertex_count;
     let mut indices = None;
     if object.has("indices") {
-        let (index, accessor) = usable(object, ("indices", &["SCALAR"], INDEX), context, draco, defects)?;
+        let (index, accessor) = usable(object, "indices", INDEX, context, draco.is_some(), defects)?;
         indices = Some(index);
         replaced_count = replaced_count.saturating_add(accessor.replaced_count());
         corner_count = Some(accessor.count);
@@ -182,9 +244,12 @@ fn read_primitive(
     }
     Some(PrimitiveDef {
         path: object.path.clone(),
+        name: object.extra("submesh").unwrap_or_default().to_owned(),
         mode: mode?,
         indices,
         attributes,
+        uv_transforms: slots.0.map(|slot| slot.transform),
+        draco,
         material,
         vertex_count: vertex_count?,
         replaced_count,
@@ -211,38 +276,34 @@ fn read_mode(object: &Object<'_>, defects: &mut Defects) -> Option<Mode> {
     None
 }
 
-/// The accessor that `object.key` refers to, if it suits the rule and has data.
-fn usable<'a>(
+/// The accessor that `object.key` refers to, if it suits the rule and has data; `stands_in`: compressed data takes its place.
+pub(super) fn usable<'a>(
     object: &Object<'_>,
-    (key, shapes, components): Rule,
+    key: &str,
+    rule: Rule,
     context: &Context<'a>,
-    draco: bool,
+    stands_in: bool,
     defects: &mut Defects,
 ) -> Option<(usize, &'a Accessor)> {
     let index = object.index(key, "accessors", context.accessors.len(), defects)?;
     let accessor = context.accessors[index].as_ref()?;
     let path = object.path_of(key);
-    if !shapes.contains(&accessor.shape) || !components.contains(&(accessor.component, accessor.normalized)) {
-        let names = |(component, normalized): &(Component, bool)| {
+    let number = (accessor.component, accessor.normalized);
+    let allowed = rule.core.contains(&number) || context.quantized && rule.quantized.contains(&number);
+    if !rule.shapes.contains(&accessor.shape) || !allowed {
+        let names = |(component, normalized): &Number| {
             format!("{}{}", if *normalized { "normalized " } else { "" }, component.name())
         };
-        let expected = components.iter().map(names).collect::<Vec<_>>().join(" or ");
-        let message = format!("expected {} of {expected}, found {}", shapes.join(" or "), accessor.describe());
-        match context.quantized && key != "indices" {
-            true => defects.unsupported(path, format!("{QUANTIZATION}: {message}; write plain floats")),
-            false => defects.invalid(path, message),
+        let expected = rule.core.iter().map(names).collect::<Vec<_>>().join(" or ");
+        let mut message = format!("expected {} of {expected}, found {}", rule.shapes.join(" or "), accessor.describe());
+        if !context.quantized && rule.quantized.contains(&number) {
+            message.push_str(&format!(", which only {QUANTIZATION} allows; the file does not say that it uses it"));
         }
+        defects.invalid(path, message);
         return None;
     }
-    if !accessor.has_data() {
-        match draco {
-            true => {
-                defects.unsupported(path, format!("{DRACO}: the compressed data is not read; write plain accessors"))
-            }
-            false => {
-                defects.unsupported(path, format!("{} has neither a buffer view nor replaced elements", accessor.path))
-            }
-        }
+    if !accessor.has_data() && !stands_in {
+        defects.unsupported(path, format!("{} has neither a buffer view nor replaced elements", accessor.path));
         return None;
     }
     Some((index, accessor))
@@ -301,9 +362,8 @@ pub(super) fn read_contents(
     let positions = read_positions(&position?, &used, &def.path, defects)?;
     let normals = normal.map(|reader| repairs.normals(&reader, &used, &positions, &triangles)).unwrap_or_default();
     let tangents = tangent.map(|reader| repairs.tangents(&reader, &used, &normals)).unwrap_or_default();
-    let [uv0, uv1] = uv;
-    let uv0 = uv0.map(|reader| repairs.uvs(&reader, &used, Semantic::Uv0)).unwrap_or_default();
-    let uv1 = uv1.map(|reader| repairs.uvs(&reader, &used, Semantic::Uv1)).unwrap_or_default();
+    let [uv0, uv1] = [0, 1]
+        .map(|k| uv[k].as_ref().map(|reader| repairs.uvs(reader, &used, def.uv_transforms[k], k)).unwrap_or_default());
     let colors = color.map(|reader| repairs.colors(&reader, &used)).unwrap_or_default();
     let weights = weights.map(|reader| repairs.weights(&reader, &used)).unwrap_or_default();
     let joints: Vec<[u16; 4]> = joints
@@ -404,25 +464,13 @@ struct Repairs<'a> {
 
 impl Repairs<'_> {
     fn note(&mut self, kind: RepairKind, count: usize, semantic: Semantic) {
-        let (name, ..) = SEMANTICS[semantic as usize];
-        self.notes.repair(kind, count as u64, || format!("{}.attributes.{name}", self.path));
+        let names = names(&UvSlots::default());
+        self.notes.repair(kind, count as u64, || format!("{}.attributes.{}", self.path, names[semantic as usize]));
     }
 
     fn normals(&mut self, reader: &Reader<'_>, used: &[u32], positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
         let mut normals: Vec<Vec3> = used.iter().map(|v| Vec3::from_array(reader.floats(*v, 0.0))).collect();
-        let directed = |n: &Vec3| n.is_finite() && n.length_squared() > 1e-12 && n.length_squared().is_finite();
-        let lost = normals.iter().filter(|n| !directed(n)).count();
-        if lost > 0 {
-            let rebuilt = vertex_normals(positions, triangles);
-            normals.iter_mut().zip(rebuilt).filter(|(n, _)| !directed(n)).for_each(|(n, rebuilt)| *n = rebuilt);
-        }
-        let off = normals.iter().filter(|n| (n.length() - 1.0).abs() > 0.01).count();
-        for normal in &mut normals {
-            // What is of unit length to rounding keeps its bits.
-            if (normal.length_squared() - 1.0).abs() > 1e-6 {
-                *normal = normal.normalize_or(Vec3::Y);
-            }
-        }
+        let (lost, off) = repair_normals(&mut normals, positions, triangles);
         self.note(RepairKind::NormalRebuilt, lost, Semantic::Normal);
         self.note(RepairKind::NormalScaled, off, Semantic::Normal);
         normals
@@ -454,15 +502,17 @@ impl Repairs<'_> {
         tangents
     }
 
-    fn uvs(&mut self, reader: &Reader<'_>, used: &[u32], semantic: Semantic) -> Vec<Vec2> {
+    /// The UVs of slot `k`.
+    fn uvs(&mut self, reader: &Reader<'_>, used: &[u32], transform: Option<UvTransform>, k: usize) -> Vec<Vec2> {
         let mut lost = 0;
         let read = |v: &u32| {
             let uv = Vec2::from_array(reader.floats(*v, 0.0));
+            let uv = transform.map_or(uv, |transform| transform.apply(uv));
             lost += !uv.is_finite() as usize;
             if uv.is_finite() { uv } else { Vec2::ZERO }
         };
         let uvs = used.iter().map(read).collect();
-        self.note(RepairKind::UvNotFinite, lost, semantic);
+        self.note(RepairKind::UvNotFinite, lost, [Semantic::Uv0, Semantic::Uv1][k]);
         uvs
     }
 
@@ -490,6 +540,24 @@ impl Repairs<'_> {
         self.note(RepairKind::WeightNotFinite, lost, Semantic::Weights);
         weights
     }
+}
+
+/// Gives every normal a direction and unit length. Back: how many had no direction, how many of the others another length.
+pub(super) fn repair_normals(normals: &mut [Vec3], positions: &[Vec3], triangles: &[[u32; 3]]) -> (usize, usize) {
+    let directed = |n: &Vec3| n.is_finite() && n.length_squared() > 1e-12 && n.length_squared().is_finite();
+    let lost = normals.iter().filter(|n| !directed(n)).count();
+    if lost > 0 {
+        let rebuilt = vertex_normals(positions, triangles);
+        normals.iter_mut().zip(rebuilt).filter(|(n, _)| !directed(n)).for_each(|(n, rebuilt)| *n = rebuilt);
+    }
+    let off = normals.iter().filter(|n| (n.length() - 1.0).abs() > 0.01).count();
+    for normal in normals {
+        // What is of unit length to rounding keeps its bits.
+        if (normal.length_squared() - 1.0).abs() > 1e-6 {
+            *normal = normal.normalize_or(Vec3::Y);
+        }
+    }
+    (lost, off)
 }
 
 /// `[vertex_count]`: area-weighted mean of the normals of each vertex's own faces; +Y where that has no direction.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-/// The two shells of a glTF model.
+/// The format of a model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ModelFormat {
@@ -13,6 +13,10 @@ pub enum ModelFormat {
     /// JSON, with buffers and images beside it or in data URIs.
     #[default]
     Gltf,
+    /// Wavefront OBJ, with materials and images beside it.
+    Obj,
+    /// Polygon file format, text or binary.
+    Ply,
 }
 
 /// Soft trouble, and the rule by which it was repaired.
@@ -51,6 +55,18 @@ pub enum RepairKind {
     MimeTypeWrong,
     /// A material reads a UV set that its submesh lacks; the UVs count as (0, 0).
     UvSetAbsent,
+    /// A corner without UVs in a submesh that has some gets (0, 0).
+    CornerUvAbsent,
+    /// A colour outside `[0, 1]` is clamped.
+    ColorClamped,
+    /// What is left of a polygon that crosses itself is cut into a fan.
+    PolygonCrossed,
+    /// A material library whose file is missing is left out.
+    LibraryMissing,
+    /// A material that no library defines becomes white and rough.
+    MaterialUndefined,
+    /// Backslashes in a file's name are read as separators of folders.
+    BackslashPath,
 }
 
 impl RepairKind {
@@ -73,6 +89,12 @@ impl RepairKind {
             RepairKind::ImageMissing => "images whose file is missing: left out",
             RepairKind::MimeTypeWrong => "images with a wrong MIME type: read as what their bytes are",
             RepairKind::UvSetAbsent => "submeshes without the UV set that their material reads: (0, 0) assumed",
+            RepairKind::CornerUvAbsent => "corners without UVs beside others with: (0, 0) assumed",
+            RepairKind::ColorClamped => "colours out of range: clamped",
+            RepairKind::PolygonCrossed => "polygons that cross themselves: cut into fans",
+            RepairKind::LibraryMissing => "material libraries whose file is missing: left out",
+            RepairKind::MaterialUndefined => "materials that no library defines: white and rough",
+            RepairKind::BackslashPath => "file names with backslashes: read as folders",
         }
     }
 }
@@ -127,7 +149,7 @@ pub struct ImportReport {
     pub degenerate_triangles: u64,
     /// Submeshes: primitives in place.
     pub submeshes: u64,
-    /// Nodes of the scene that place a mesh.
+    /// Nodes of the scene that place a mesh; a node with instances counts for each of them.
     pub instances: u64,
     /// Of these, how many mirror it (its winding was flipped).
     pub mirrored_instances: u64,

@@ -5,10 +5,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use glam::{DMat4, DQuat, DVec3};
 
 use super::ImportLimits;
+use super::accessor::{Accessor, Reader};
 use super::error::Defects;
 use super::json::Object;
 use super::material::note_extensions;
+use super::primitive::{Context, FLOAT, Rule, SIGNED, rule, usable};
 use super::report::{Notes, RepairKind};
+use super::source::Bytes;
 
 /// A mesh placed by a node.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,13 +21,30 @@ pub(super) struct Placement {
     /// The node's name, may be empty.
     pub(super) name: String,
     pub(super) object_from_mesh: DMat4,
+    /// Where the node places the mesh many times; [`spread`] makes a placement of each.
+    pub(super) instances: Option<Instances>,
 }
+
+/// `EXT_mesh_gpu_instancing`: accessors of translations, rotations and scales of the same length, those there are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Instances {
+    accessors: [Option<usize>; 3],
+    pub(super) count: u64,
+}
+
+const INSTANCING: &str = "EXT_mesh_gpu_instancing";
+const INSTANCE_RULES: [(&str, Rule); 3] = [
+    ("TRANSLATION", rule(&["VEC3"], FLOAT, &[])),
+    ("ROTATION", rule(&["VEC4"], FLOAT, SIGNED)),
+    ("SCALE", rule(&["VEC3"], FLOAT, &[])),
+];
 
 struct Node<'a> {
     object: Object<'a>,
     /// (place in `children`, node).
     children: Vec<(usize, usize)>,
     mesh: Option<usize>,
+    instances: Option<Instances>,
     skinned: bool,
     parent_from_node: DMat4,
 }
@@ -34,14 +54,16 @@ struct Node<'a> {
 pub(super) fn read_placements(
     root: &Object<'_>,
     mesh_count: usize,
+    context: &Context<'_>,
     limits: &ImportLimits,
     defects: &mut Defects,
     notes: &mut Notes,
 ) -> Vec<Placement> {
     let objects = root.objects("nodes", defects);
     let count = objects.len();
-    let nodes: Vec<Option<Node<'_>>> =
-        (objects.into_iter()).map(|node| node.map(|node| read_node(node, count, mesh_count, defects, notes))).collect();
+    let nodes: Vec<Option<Node<'_>>> = (objects.into_iter())
+        .map(|node| node.map(|node| read_node(node, count, mesh_count, context, defects, notes)))
+        .collect();
     let parents = find_parents(&nodes, defects);
     refuse_cycles(&parents, defects);
     let roots = read_roots(root, &parents, defects, notes);
@@ -52,20 +74,49 @@ fn read_node<'a>(
     object: Object<'a>,
     node_count: usize,
     mesh_count: usize,
+    context: &Context<'_>,
     defects: &mut Defects,
     notes: &mut Notes,
 ) -> Node<'a> {
-    const INSTANCING: &str = "EXT_mesh_gpu_instancing";
     note_extensions(&object, &[INSTANCING], defects, notes);
-    if object.object("extensions", defects).is_some_and(|e| e.has(INSTANCING)) {
-        defects.unsupported(format!("{}.extensions.{INSTANCING}", object.path), "write the instances as nodes");
-    }
+    let extensions = object.object("extensions", defects);
+    let instances = extensions.and_then(|e| e.object(INSTANCING, defects));
+    let instances = instances.and_then(|instances| read_instances(&instances, context, defects, notes));
     notes.not_carried("nodes with a camera", object.has("camera") as u64);
     let mesh = object.index("mesh", "meshes", mesh_count, defects);
     let children = object.indices("children", "nodes", node_count, defects);
     let parent_from_node = read_transform(&object, defects, notes);
     let skinned = object.has("skin");
-    Node { object, children, mesh, skinned, parent_from_node }
+    Node { object, children, mesh, instances, skinned, parent_from_node }
+}
+
+fn read_instances(
+    object: &Object<'_>,
+    context: &Context<'_>,
+    defects: &mut Defects,
+    notes: &mut Notes,
+) -> Option<Instances> {
+    let list = object.need_object("attributes", defects)?;
+    for name in list.keys().filter(|name| INSTANCE_RULES.iter().all(|rule| rule.0 != *name)) {
+        notes.not_carried(&format!("instance attribute {name}"), 1);
+    }
+    // Rotations may be normalised integers whether or not the file says that it uses quantised attributes.
+    let context = Context { quantized: true, ..*context };
+    let mut accessors = [None; 3];
+    let mut count = None;
+    for (slot, (name, rule)) in accessors.iter_mut().zip(INSTANCE_RULES).filter(|(_, (name, _))| list.has(name)) {
+        let (index, accessor) = usable(&list, name, rule, &context, false, defects)?;
+        *slot = Some(index);
+        let first = *count.get_or_insert(accessor.count);
+        if first != accessor.count {
+            defects.invalid(list.path_of(name), format!("{} elements, but the first has {first}", accessor.count));
+            return None;
+        }
+    }
+    if count.is_none() {
+        defects.invalid(list.path, "names neither translations nor rotations nor scales");
+    }
+    Some(Instances { accessors, count: count? })
 }
 
 fn read_transform(object: &Object<'_>, defects: &mut Defects, notes: &mut Notes) -> DMat4 {
@@ -82,19 +133,20 @@ fn read_transform(object: &Object<'_>, defects: &mut Defects, notes: &mut Notes)
     }
     let translation = object.floats::<3>("translation", defects).unwrap_or([0.0; 3]);
     let scale = object.floats::<3>("scale", defects).unwrap_or([1.0; 3]);
-    let mut rotation = DQuat::IDENTITY;
-    if let Some([x, y, z, w]) = object.floats::<4>("rotation", defects) {
-        let raw = DQuat::from_xyzw(x, y, z, w);
-        let length = raw.length();
-        if length > 1e-12 && length.is_finite() {
-            rotation = raw.normalize();
-            let off = (length - 1.0).abs() > 0.01;
-            notes.repair(RepairKind::RotationScaled, off as u64, || object.path_of("rotation"));
-        } else {
-            defects.invalid(object.path_of("rotation"), format!("quaternion of length {length}"));
-        }
-    }
+    let rotation = object.floats::<4>("rotation", defects).unwrap_or([0.0, 0.0, 0.0, 1.0]);
+    let rotation = read_rotation(rotation, || object.path_of("rotation"), defects, notes);
     DMat4::from_scale_rotation_translation(DVec3::from_array(scale), rotation, DVec3::from_array(translation))
+}
+
+fn read_rotation(xyzw: [f64; 4], path: impl Fn() -> String, defects: &mut Defects, notes: &mut Notes) -> DQuat {
+    let raw = DQuat::from_array(xyzw);
+    let length = raw.length();
+    if !(length > 1e-12 && length.is_finite()) {
+        defects.invalid(path(), format!("quaternion of length {length}"));
+        return DQuat::IDENTITY;
+    }
+    notes.repair(RepairKind::RotationScaled, ((length - 1.0).abs() > 0.01) as u64, path);
+    raw.normalize()
 }
 
 /// The parent of every node; a second one is a defect, so that what is left is a forest, perhaps with rings.
@@ -180,15 +232,49 @@ fn walk(nodes: &[Option<Node<'_>>], roots: &[usize], limits: &ImportLimits, defe
             // not carried, so the mesh stays in the space it was bound in.
             let object_from_mesh = if node.skinned { DMat4::IDENTITY } else { object_from_node };
             let name = node.object.string("name", defects).unwrap_or_default().to_owned();
-            placements.push(Placement { node: index, mesh, name, object_from_mesh });
+            placements.push(Placement { node: index, mesh, name, object_from_mesh, instances: node.instances });
         }
         stack.extend(node.children.iter().rev().map(|(_, child)| (*child, object_from_node, depth + 1)));
     }
     placements
 }
 
+/// Every placement of many instances as many placements, in their order.
+pub(super) fn spread(
+    placements: Vec<Placement>,
+    accessors: &[Option<Accessor>],
+    buffers: &[Bytes<'_>],
+    defects: &mut Defects,
+    notes: &mut Notes,
+) -> Vec<Placement> {
+    let mut out = Vec::with_capacity(placements.len());
+    for placement in placements {
+        let Some(Instances { accessors: of, count }) = placement.instances else {
+            out.push(placement);
+            continue;
+        };
+        let path = format!("nodes[{}].extensions.{INSTANCING}", placement.node);
+        let readers = of.map(|index| Reader::new(accessors[index?].as_ref()?, buffers, defects));
+        for i in 0..count as u32 {
+            let read = |k: usize, neutral: [f64; 4]| {
+                readers[k].as_ref().map_or(neutral, |reader| reader.floats::<4>(i, 0.0).map(f64::from))
+            };
+            let rotation = read_rotation(read(1, [0.0, 0.0, 0.0, 1.0]), || path.clone(), defects, notes);
+            let [translation, scale] = [read(0, [0.0; 4]), read(2, [1.0; 4])].map(|v| DVec3::new(v[0], v[1], v[2]));
+            let mesh_from_instance = DMat4::from_scale_rotation_translation(scale, rotation, translation);
+            let object_from_mesh = placement.object_from_mesh * mesh_from_instance;
+            if !object_from_mesh.is_finite() {
+                defects.invalid(path.clone(), format!("the transform of instance {i} is not finite"));
+            }
+            out.push(Placement { object_from_mesh, instances: None, ..placement.clone() });
+        }
+    }
+    out
+}
+
 /// Names of submeshes, unique and readable. The rule: the node's name, or its mesh's, or `mesh<i>`; where the mesh has several
 /// primitives `/` and the material's name or the primitive's number follow; and where that is taken already, `#2`, `#3` and so on.
+/// What kiln itself exported says its submeshes' names in `extras`.
 pub(super) struct Names {
     taken: BTreeSet<String>,
     /// The last number given to a name.

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use super::error::Defects;
 use super::json::Object;
+use super::meshopt;
 use super::uri::{self, Target};
 use super::{Files, ImportLimits};
 
@@ -44,11 +45,13 @@ pub(super) struct Sources<'f> {
     loaded: BTreeMap<String, Arc<[u8]>>,
     /// Bytes that may still be loaded.
     left: u64,
+    /// Files may lie outside the model's folder.
+    outside: bool,
 }
 
 impl<'f> Sources<'f> {
     pub(super) fn new(files: &'f dyn Files, limits: &ImportLimits) -> Sources<'f> {
-        Sources { files, loaded: BTreeMap::new(), left: limits.max_file_bytes }
+        Sources { files, loaded: BTreeMap::new(), left: limits.max_file_bytes, outside: limits.allow_outside }
     }
 
     /// The file `relative`, at most as long as the limits leave.
@@ -71,17 +74,15 @@ impl<'f> Sources<'f> {
 
     /// What a URI refers to, and its file's path if it is one.
     pub(super) fn uri(&mut self, uri: &str) -> Result<(Arc<[u8]>, Option<String>), Failure> {
-        match uri::resolve(uri).map_err(Failure::Invalid)? {
+        match uri::resolve(uri, self.outside).map_err(Failure::Invalid)? {
             Target::Bytes(bytes) => Ok((bytes.into(), None)),
             Target::File(path) => Ok((self.file(&path)?, Some(path))),
         }
     }
 }
 
-/// Extensions that leave a buffer without bytes of its own, since its views are decompressed into it.
-const COMPRESSING: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
-
-/// The buffers' claimed lengths (`None`: unknown) and bytes (empty where defective).
+/// The buffers' claimed lengths (`None`: unknown; 0 where a buffer only holds a place for what compressed views decode to) and
+/// bytes (empty where defective).
 pub(super) fn read_buffers<'a>(
     root: &Object<'_>,
     binary: Option<&'a [u8]>,
@@ -92,6 +93,15 @@ pub(super) fn read_buffers<'a>(
     let mut contents = Vec::new();
     for (i, buffer) in root.objects("buffers", defects).iter().enumerate() {
         let length = buffer.as_ref().and_then(|buffer| buffer.need_unsigned("byteLength", defects));
+        if let Some(buffer) = buffer
+            && !buffer.has("uri")
+            && (i > 0 || binary.is_none())
+            && meshopt::is_placeholder(buffer, defects)
+        {
+            lengths.push(Some(0));
+            contents.push(Bytes::Borrowed(&[]));
+            continue;
+        }
         let bytes = buffer.as_ref().and_then(|buffer| {
             let binary = binary.filter(|_| i == 0);
             read_buffer(buffer, binary, sources, defects)
@@ -115,16 +125,10 @@ fn read_buffer<'a>(
     defects: &mut Defects,
 ) -> Option<Bytes<'a>> {
     if !buffer.has("uri") {
-        let compressing = buffer.object("extensions", defects).and_then(|e| COMPRESSING.iter().find(|c| e.has(c)));
-        match (binary, compressing) {
-            (Some(binary), _) => return Some(Bytes::Borrowed(binary)),
-            (None, Some(extension)) => defects.unsupported(
-                format!("{}.extensions.{extension}", buffer.path),
-                "its compressed data is not read; write the model without it",
-            ),
-            (None, None) => defects.invalid(buffer.path.clone(), "has no URI and is not a GLB's own first buffer"),
+        if binary.is_none() {
+            defects.invalid(buffer.path.clone(), "has no URI and is not a GLB's own first buffer");
         }
-        return None;
+        return binary.map(Bytes::Borrowed);
     }
     let uri = buffer.string("uri", defects)?;
     let path = buffer.path_of("uri");

@@ -1,7 +1,10 @@
 //! Planted models with known answers, malformed and hostile ones, and the corpus.
 
 mod corpus;
+mod extensions;
 mod hostile;
+mod obj;
+mod ply;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

@@ -29,7 +29,7 @@ pub(super) fn border_edges(mesh: &Mesh, kept: &[FaceId]) -> Vec<BorderEdge> {
 /// The points `[vertex_count]` after uniting the ends of border edges of different submeshes that lie pairwise within
 /// `weld` (object units), numbered densely by lowest old point; and the number of edges that found a partner.
 pub(super) fn join(mesh: &Mesh, edges: &[BorderEdge], weld: f32) -> (Vec<PointId>, u32) {
-    let mut points = Union((0..mesh.point_count() as u32).collect());
+    let mut points = Union::new(mesh.point_count());
     let mut joined = vec![false; edges.len()];
     let grid = Grid::new(mesh, edges, weld);
     for (i, edge) in edges.iter().enumerate() {
@@ -119,10 +119,16 @@ impl Grid {
 }
 
 /// Disjoint sets of points; each set is named by its lowest member.
-struct Union(Vec<u32>);
+pub(super) struct Union(Vec<u32>);
 
 impl Union {
-    fn find(&mut self, mut p: u32) -> u32 {
+    /// Each of `count` points alone.
+    pub(super) fn new(count: usize) -> Union {
+        Union((0..count as u32).collect())
+    }
+
+    /// The lowest member of the set of `p`.
+    pub(super) fn find(&mut self, mut p: u32) -> u32 {
         while self.0[p as usize] != p {
             let up = self.0[self.0[p as usize] as usize];
             self.0[p as usize] = up;
@@ -131,7 +137,7 @@ impl Union {
         p
     }
 
-    fn unite(&mut self, a: PointId, b: PointId) {
+    pub(super) fn unite(&mut self, a: PointId, b: PointId) {
         let (a, b) = (self.find(a.0), self.find(b.0));
         self.0[a.max(b) as usize] = a.min(b);
     }

@@ -2,28 +2,31 @@
 
 use kiln_asset::{FaceId, Mesh, PointId};
 
-use super::MergeReport;
+use super::MergeOptions;
+use super::repair::{RepairKind, Repairs, place};
 
-/// The faces, ascending, that have three distinct points and come first of those with the same points, winding and submesh.
-pub(super) fn sound_faces(mesh: &Mesh, points: &[PointId], report: &mut MergeReport) -> Vec<FaceId> {
-    let all = (0..mesh.face_count() as u32).map(FaceId).collect();
-    sound_faces_of(mesh, points, all, report)
-}
-
-/// The same out of the ascending list `faces`, under other `points` `[vertex_count]`.
-pub(super) fn sound_faces_of(
+/// Those of the ascending `faces` that have three distinct points out of `points` `[vertex_count]` and, where `options` say so,
+/// come first of those with the same points, winding and submesh.
+pub(super) fn sound_faces(
     mesh: &Mesh,
     points: &[PointId],
     mut faces: Vec<FaceId>,
-    report: &mut MergeReport,
+    options: &MergeOptions,
+    repairs: &mut Repairs,
 ) -> Vec<FaceId> {
     let face_points = |f: FaceId| mesh.triangles[f.index()].map(|v| points[v as usize].0);
-    let before = faces.len();
+    let mut degenerate = Vec::new();
     faces.retain(|f| {
-        let [a, b, c] = face_points(*f);
-        a != b && b != c && c != a
+        let sound = !crate::topology::is_degenerate(&face_points(*f));
+        if !sound {
+            degenerate.push(*f);
+        }
+        sound
     });
-    report.degenerate_faces += (before - faces.len()) as u32;
+    repairs.add(RepairKind::DegenerateFaces, degenerate.len(), || place(mesh, degenerate[0]));
+    if !options.duplicate_faces {
+        return faces;
+    }
 
     // Equal faces become neighbours when sorted by their points, turned so that the lowest comes first.
     let mut keyed: Vec<([u32; 4], FaceId)> = faces
@@ -43,15 +46,15 @@ pub(super) fn sound_faces_of(
     keyed.sort_unstable();
     let mut duplicates: Vec<FaceId> =
         keyed.windows(2).filter(|pair| pair[0].0 == pair[1].0).map(|pair| pair[1].1).collect();
-    report.duplicate_faces += duplicates.len() as u32;
     duplicates.sort_unstable();
+    repairs.add(RepairKind::DuplicateFaces, duplicates.len(), || place(mesh, duplicates[0]));
     let mut next = duplicates.into_iter().peekable();
     faces.retain(|f| next.next_if_eq(f).is_none());
     faces
 }
 
 /// The mesh of the `kept` faces with `points` `[vertex_count]` as its points; vertices out of use are dropped and counted.
-pub(super) fn gather(mesh: &Mesh, points: Vec<PointId>, kept: &[FaceId], report: &mut MergeReport) -> Mesh {
+pub(super) fn gather(mesh: &Mesh, points: Vec<PointId>, kept: &[FaceId], repairs: &mut Repairs) -> Mesh {
     let mut new_vertex = vec![u32::MAX; mesh.vertex_count()];
     for f in kept {
         for v in mesh.triangles[f.index()] {
@@ -65,7 +68,12 @@ pub(super) fn gather(mesh: &Mesh, points: Vec<PointId>, kept: &[FaceId], report:
             keep.push(v as u32);
         }
     }
-    report.unused_vertices = (mesh.vertex_count() - keep.len()) as u32;
+    let unused = mesh.vertex_count() - keep.len();
+    repairs.add(RepairKind::UnusedVertices, unused, || {
+        // The first vertex that is not the one expected at its place.
+        let first = keep.iter().zip(0..).find(|(v, i)| **v != *i).map_or(keep.len() as u32, |(_, i)| i);
+        format!("vertex {first}")
+    });
     let triangles = kept.iter().map(|f| mesh.triangles[f.index()].map(|v| new_vertex[v as usize])).collect();
     let face_submesh = kept.iter().map(|f| mesh.face_submesh[f.index()]).collect();
 

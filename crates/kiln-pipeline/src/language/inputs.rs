@@ -52,6 +52,11 @@ pub struct Expansion {
     pub diagnostics: Vec<Diagnostic>,
 }
 
+/// An `input` that matches the path `path` and nothing else: characters that globs read are put into brackets.
+pub fn literal(path: &str) -> String {
+    Pattern::escape(path)
+}
+
 /// Finds the models. `list` gives the content of a folder in any order; it is called at most once a folder, with a
 /// path that is relative to what the input is relative to (`.` for that place itself).
 pub fn expand_inputs(pipeline: &Pipeline, list: &dyn Fn(&str) -> io::Result<Vec<DirEntry>>) -> Expansion {

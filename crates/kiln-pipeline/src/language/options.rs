@@ -27,6 +27,18 @@ choices! {
 }
 
 choices! {
+    /// A repair that merge makes where it is asked for.
+    pub enum MergeRepair {
+        /// Drops faces that their submesh has already, same points in the same winding.
+        "duplicate-faces" => DuplicateFaces,
+        /// Rebuilds normals without direction from their faces.
+        "zero-normals" => ZeroNormals,
+        /// Turns over faces that are wound against their neighbours, and closed parts that are wound inwards.
+        "winding" => Winding,
+    }
+}
+
+choices! {
     /// What an edge costs.
     pub enum Metric {
         /// Area-weighted plane quadrics with border, seam and boundary constraints.
@@ -166,6 +178,20 @@ options! {
         "input" => input: String, required;
         /// Container to write; {path} is the model's path under the glob's fixed part, {name} its last part, both without extension.
         "output" => output: String, required;
+        /// Whether a model may refer to files outside its own folder.
+        "allow-outside" => allow_outside: bool, default(false);
+        /// Greatest sum of a model's files, MiB.
+        "max-file-size" => max_file_size: u32, default(8192), within 1..=1_048_576;
+        /// Most triangles of a model, all instances in place.
+        "max-triangles" => max_triangles: u32, default(1 << 26), within 1..=1_431_655_764;
+        /// Most vertices of a model, all instances in place.
+        "max-vertices" => max_vertices: u32, default(1 << 26), within 1..=4_294_967_294u32;
+        /// Most submeshes of a model.
+        "max-submeshes" => max_submeshes: u32, default(1 << 20), within 1..=16_777_216;
+        /// Most nodes from a root down to a mesh.
+        "max-node-depth" => max_node_depth: u32, default(4096), within 1..=1_000_000;
+        /// Greatest width and height of an image in texels.
+        "max-image-side" => max_image_side: u32, default(16_384), within 1..=65_536;
     }
 }
 
@@ -186,6 +212,8 @@ options! {
     pub struct MergeOptions {
         /// Greatest distance between border points of different submeshes that become one point.
         "weld" => weld: Length, default(Length::diag(1e-5));
+        /// Repairs to make, [] for none; faces with two corners at one point and vertices without a face always go.
+        "repair" => repair: MergeRepairs, default(MergeRepairs(vec![MergeRepair::DuplicateFaces, MergeRepair::ZeroNormals]));
     }
 }
 
@@ -316,6 +344,29 @@ impl Setting for StageRef {
 
     fn write(&self) -> Value {
         Value::Text(self.0.clone())
+    }
+}
+
+/// The repairs of a merge, ascending: their order means nothing. Unlike other lists this one may be empty.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct MergeRepairs(pub Vec<MergeRepair>);
+
+impl Setting for MergeRepairs {
+    fn shape() -> Shape {
+        Vec::<MergeRepair>::shape()
+    }
+
+    fn read(node: &Node, report: &mut Report) -> Option<Self> {
+        if node.list().is_some_and(<[Node]>::is_empty) {
+            return Some(MergeRepairs::default());
+        }
+        let mut repairs = Vec::<MergeRepair>::read(node, report)?;
+        repairs.sort_unstable();
+        Some(MergeRepairs(repairs))
+    }
+
+    fn write(&self) -> Value {
+        self.0.write()
     }
 }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::compose;
 use super::diagnostic::{Diagnostic, Origin, Report, Sources};
 use super::dom::Table;
-use super::options::{AtlasOptions, BakeOptions, Kind, MergeOptions, PackOptions, SimplifyOptions};
+use super::options::{AssetOptions, AtlasOptions, BakeOptions, Kind, MergeOptions, PackOptions, SimplifyOptions};
 use super::read;
 use super::setting::Options;
 use super::value::{Value, toml_lines};
@@ -35,6 +35,8 @@ pub struct AssetPaths {
     pub input: AssetPath,
     /// Template of the container's path.
     pub output: AssetPath,
+    /// What a model may be, with the two paths as they were written.
+    pub options: AssetOptions,
 }
 
 /// A path as it was written and what it is relative to.
@@ -253,10 +255,7 @@ impl Pipeline {
     }
 
     fn asset_values(&self) -> Vec<(String, Value)> {
-        vec![
-            (String::from("input"), Value::Text(self.asset.input.text.clone())),
-            (String::from("output"), Value::Text(self.asset.output.text.clone())),
-        ]
+        self.asset.options.values()
     }
 }
 

@@ -61,15 +61,15 @@ pub(crate) fn asset(document: &Table, report: &mut Report) -> Option<AssetPaths>
         };
         Some(AssetPath { text, relative_to, origin: node.origin.clone() })
     };
-    let input = path("input", options.input, report);
-    let output = path("output", options.output, report);
+    let input = path("input", options.input.clone(), report);
+    let output = path("output", options.output.clone(), report);
     if let Some(input) = &input {
         glob_of(table, input, report);
     }
     if let Some(output) = &output {
         template(output, report);
     }
-    Some(AssetPaths { input: input?, output: output? })
+    Some(AssetPaths { input: input?, output: output?, options })
 }
 
 /// Checks each part of the input as a glob.

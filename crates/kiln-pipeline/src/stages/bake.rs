@@ -37,7 +37,9 @@ pub(crate) fn action(
     action.label = label;
     action.params = params(&StageSettings::Bake(options.clone()), &["high"]);
     action.foreign =
-        [foreign::GLAM, foreign::OBVHS, foreign::MIKKTSPACE, foreign::IMAGE, foreign::LIBM].map(Into::into).into();
+        [foreign::GLAM, foreign::OBVHS, foreign::MIKKTSPACE, foreign::BASISU, foreign::IMAGE, foreign::LIBM]
+            .map(Into::into)
+            .into();
     action.numeric_class = Some(foreign::NUMERIC_CLASS.into());
     if let Some(class) = backend.device_class(crate::language::Kind::Bake) {
         action.foreign.push(foreign::WGPU.into());

@@ -5,30 +5,55 @@ use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use kiln_asset::blob::{BlobError, BlobReader, BlobWriter};
-use kiln_asset::import::{self, Files, ImportLimits};
+use kiln_asset::import::{self, Files, ImageLimits, ImportLimits};
 use kiln_engine::{Action, ActionError, Context, Outputs, Source};
 
 use super::{StageError, json, split_path};
 use crate::foreign;
+use crate::language::options::AssetOptions;
+use crate::language::setting::Options;
 
 /// Raised whenever the same files give another asset.
-pub(crate) const VERSION: u32 = 1;
+pub(crate) const VERSION: u32 = 2;
 
 /// Imports `model` (relative to the plan's root). Outputs: `mesh`, `materials`, `image/N`, and `inputs`: names and contents of
 /// the files read, for the container's provenance. There the model is called `model`, so that a renamed one changes nothing.
-pub(crate) fn action(id: String, label: String, model: &str) -> Action {
+pub(crate) fn action(id: String, label: String, model: &str, options: &AssetOptions) -> Action {
+    let limits = limits(options);
     let (folder, file) = split_path(model);
     let file = file.to_owned();
     let extension = file.rsplit_once('.').map(|(_, e)| e.to_ascii_lowercase()).unwrap_or_default();
-    let mut action = Action::new(id, "import", VERSION, move |context| run(context, &file))
+    let mut action = Action::new(id, "import", VERSION, move |context| run(context, &file, &limits))
         // The name itself is no parameter: a renamed but equal file imports to the same asset. Its kind is.
         .param("format", extension)
         .input("model", Source::file(model));
+    // A limit is a parameter, so that what an earlier, more generous build let in does not stand.
+    let limits = options.values().into_iter().filter(|(key, _)| key != "input" && key != "output");
+    action.params.extend(limits.map(|(key, value)| (key, value.to_toml().into())));
+    action.outside = options.allow_outside;
     action.label = label;
-    action.foreign = [foreign::GLAM, foreign::IMAGE, foreign::SERDE_JSON].map(Into::into).into();
-    action.numeric_class = Some(foreign::NUMERIC_CLASS.into());
+    action.foreign =
+        [foreign::DRACO, foreign::GLAM, foreign::IMAGE, foreign::LIBM, foreign::MESHOPT, foreign::SERDE_JSON]
+            .map(Into::into)
+            .into();
+    // The decoders of compressed views are C++. Where their bits are the same all the same, what follows is fresh.
+    action.numeric_class = Some(format!("{}; {}", foreign::NUMERIC_CLASS, foreign::cxx_class()));
     action.discovers = Some(folder.to_owned());
     action
+}
+
+fn limits(options: &AssetOptions) -> ImportLimits {
+    let side = options.max_image_side;
+    ImportLimits {
+        max_file_bytes: u64::from(options.max_file_size) << 20,
+        max_vertices: options.max_vertices.into(),
+        max_triangles: options.max_triangles.into(),
+        max_submeshes: options.max_submeshes.into(),
+        max_node_depth: options.max_node_depth,
+        images: ImageLimits { max_side: side, max_texels: u64::from(side) * u64::from(side) },
+        allow_outside: options.allow_outside,
+        ..Default::default()
+    }
 }
 
 /// The model itself is a declared input; what it refers to is discovered, so that the model's name stays out of the record.
@@ -51,9 +76,9 @@ impl Files for Recorded<'_, '_> {
     }
 }
 
-fn run(context: &Context<'_>, file: &str) -> Result<Outputs, ActionError> {
+fn run(context: &Context<'_>, file: &str, limits: &ImportLimits) -> Result<Outputs, ActionError> {
     let files = Recorded { context, file, model: context.input("model")?, read: Mutex::default() };
-    let (asset, report) = import::import(&files, file, &ImportLimits::default()).map_err(StageError::Import)?;
+    let (asset, report) = import::import(&files, file, limits).map_err(StageError::Import)?;
     let mut outputs = Outputs::new()
         .with("mesh", asset.mesh.to_blob())
         .with("materials", asset.materials.to_blob())

@@ -19,6 +19,8 @@ use kiln_gpu::Gpu;
 use serde::Serialize;
 
 pub use atlas::XatlasWorker;
+pub use kiln_lod::merge::Survey as MeshSurvey;
+pub use merge::{Repaired as MergeRepaired, Report as MergeSummary, preview as preview_merge};
 
 use crate::language::options::Kind;
 use crate::language::value::Value as Setting;

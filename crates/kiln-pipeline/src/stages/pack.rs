@@ -51,7 +51,7 @@ pub(crate) fn action(
     if let Some(class) = made_by.device_class {
         action = action.param("device", class);
     }
-    action.foreign = vec![foreign::GLAM.into(), foreign::IMAGE.into()];
+    action.foreign = vec![foreign::BASISU.into(), foreign::GLAM.into(), foreign::IMAGE.into()];
     action.numeric_class = Some(foreign::NUMERIC_CLASS.into());
     action
 }

@@ -17,11 +17,14 @@ const AFTER_HELP: &str = "\
 Output for people goes to standard error, data to standard output.
 Exit codes: 0 done, 1 finished with a budget missed or --deny warnings, 2 failed, 64 bad usage.
 
-Start here:  kiln build pipelines/quickstart.toml     then run it again: nothing is left to do.";
+Start here:  kiln build pipelines/quickstart.toml     then run it again: nothing is left to do.
+With a model of your own:  kiln init MODEL";
 
 /// The commands.
 #[derive(Subcommand, Debug)]
 pub(crate) enum Command {
+    /// Write a commented pipeline for a model, with levels and sizes that fit it
+    Init(InitArgs),
     /// Build pipelines: run the stages that are stale, write the containers that differ
     Build(BuildArgs),
     /// Say why an output would be built again, or that it would not
@@ -36,6 +39,16 @@ pub(crate) enum Command {
     Doctor(DoctorArgs),
     /// Print every stage kind with its keys, types and defaults
     Stage(StageArgs),
+}
+
+/// `kiln init`.
+#[derive(Args, Debug)]
+pub(crate) struct InitArgs {
+    /// A model
+    pub(crate) model: PathBuf,
+    /// The pipeline to write, `-` for standard output [default: the model's name with .toml, in this folder]
+    #[arg(short, long, value_name = "PIPELINE")]
+    pub(crate) output: Option<PathBuf>,
 }
 
 /// Where GPU passes run.

@@ -5,6 +5,7 @@ mod build;
 mod container;
 mod diagnostics;
 mod doctor;
+mod init;
 mod progress;
 mod why;
 
@@ -32,6 +33,7 @@ pub fn main() -> ExitCode {
         }
     };
     match cli.command {
+        Command::Init(args) => init::run(&args),
         Command::Build(args) => build::run(&args),
         Command::Why(args) => why::run(&args),
         Command::Inspect(args) => container::inspect(&args),

@@ -165,11 +165,11 @@ fn the_resolved_form_reads_back_as_itself() {
     let pipeline = good_text(&text, &[]);
     let resolved = pipeline.to_resolved_toml();
     assert_eq!(good_text(&resolved, &[]).to_resolved_toml(), resolved);
-    let expected = "kiln = 1\n\n[asset]\ninput = \"models/**/*.glb\"\noutput = \"build/{path}.kiln\"\n\n[[stage]]\nid = \"merge\"\nkind = \"merge\"\nweld = \"1e-5 diag\"\n\n[[stage]]\nid = \"lods\"\nkind = \"simplify\"\nfrom = \"merge\"\nmetric = \"quadric\"\nplacement = \"half-edge\"\nnormals = \"keep\"\nnormal-angle = 30.0\nlevels = [{ keep = 0.5 }, { keep = 0.1 }]\n\n[[stage]]\nid = \"pack\"\nkind = \"pack\"\nfrom = \"lods\"\nlayouts = [\"discrete\"]\n\n[[override]]\nmatch = \"a/*\"\nset = { \"stage.lods.levels\" = [{ keep = 1e-9 }] }\n";
+    let expected = "kiln = 1\n\n[asset]\ninput = \"models/**/*.glb\"\noutput = \"build/{path}.kiln\"\n\n[[stage]]\nid = \"merge\"\nkind = \"merge\"\nweld = \"1e-5 diag\"\nrepair = [\"duplicate-faces\", \"zero-normals\"]\n\n[[stage]]\nid = \"lods\"\nkind = \"simplify\"\nfrom = \"merge\"\nmetric = \"quadric\"\nplacement = \"half-edge\"\nnormals = \"keep\"\nnormal-angle = 30.0\nlevels = [{ keep = 0.5 }, { keep = 0.1 }]\n\n[[stage]]\nid = \"pack\"\nkind = \"pack\"\nfrom = \"lods\"\nlayouts = [\"discrete\"]\n\n[[override]]\nmatch = \"a/*\"\nset = { \"stage.lods.levels\" = [{ keep = 1e-9 }] }\n";
     assert_eq!(resolved, expected);
     assert_eq!(
         good_text(SMALL, &[]).for_asset("a.glb").unwrap().to_resolved_json(),
-        "{\"kiln\":1,\"stage\":[{\"id\":\"merge\",\"kind\":\"merge\",\"weld\":\"1e-5 diag\"},{\"id\":\"lods\",\"kind\":\"simplify\",\"from\":\"merge\",\"metric\":\"quadric\",\"placement\":\"half-edge\",\"normals\":\"keep\",\"normal-angle\":30.0,\"levels\":[{\"keep\":0.5},{\"keep\":0.1}]},{\"id\":\"pack\",\"kind\":\"pack\",\"from\":\"lods\",\"layouts\":[\"discrete\"]}]}"
+        "{\"kiln\":1,\"stage\":[{\"id\":\"merge\",\"kind\":\"merge\",\"weld\":\"1e-5 diag\",\"repair\":[\"duplicate-faces\",\"zero-normals\"]},{\"id\":\"lods\",\"kind\":\"simplify\",\"from\":\"merge\",\"metric\":\"quadric\",\"placement\":\"half-edge\",\"normals\":\"keep\",\"normal-angle\":30.0,\"levels\":[{\"keep\":0.5},{\"keep\":0.1}]},{\"id\":\"pack\",\"kind\":\"pack\",\"from\":\"lods\",\"layouts\":[\"discrete\"]}]}"
     );
 }
 

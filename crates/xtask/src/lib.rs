@@ -1,0 +1,3 @@
+//! The part of the chores that tests use, too: the generator of fixtures.
+
+pub mod fixtures;

@@ -226,7 +226,8 @@ fn check_entry(number: usize, entry: &SectionEntry, strict: bool, skip: &mut boo
                 if entry.alignment != row.alignment {
                     fail(Code::Alignment, "alignment", row.alignment.to_string(), entry.alignment.to_string());
                 }
-            } else if required {
+            } else if required || row.required {
+                // Whatever its flag says: this reader cannot do without the kind.
                 let known = format!("version 1 to {} of {kind}", row.version);
                 fail(Code::SectionVersion, "version", known, entry.version.to_string());
             } else {

@@ -5,7 +5,8 @@ use kiln_asset::{FaceId, Mesh};
 use crate::topology::{EdgeKind, PointKind, Topology};
 
 /// New gaps: border edges of `after` at least one end of which lies where `before` had no border. Points are matched by the
-/// positions of their wedges, which half-edge collapses never change.
+/// positions of their wedges, which half-edge collapses never change; free placement, which moves all wedges of a point together,
+/// comes after this check.
 ///
 /// Points of complex edges count as known: such an edge may become a border when one of its sheets vanishes, but its points
 /// never go, so nothing opens there.

@@ -26,7 +26,8 @@ fn model(path: &str) -> Option<Mesh> {
 fn simplify(mesh: &Mesh, shares: &[f64]) -> SimplifyReport {
     let sequence = collapse(mesh, &[], None, &SimplifyOptions::default());
     let budgets: Vec<Budget> = shares.iter().map(|share| Budget::Keep(*share)).collect();
-    let (set, report) = levels(mesh, &[], &sequence, mesh, &budgets, &LevelsOptions { samples: 20_000 });
+    let (set, report) =
+        levels(mesh, &[], &sequence, mesh, &budgets, &LevelsOptions { samples: 20_000, ..LevelsOptions::default() });
     for ((level, reached), share) in set.levels.iter().zip(&report.levels).zip(shares) {
         assert_eq!(check::gaps(mesh, &level.mesh), 0, "{}: no crack", reached.budget);
         assert_eq!(check::degenerate_faces(&level.mesh), 0);

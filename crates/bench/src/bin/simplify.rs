@@ -14,7 +14,7 @@ use glam::Vec3;
 use kiln_asset::{Mesh, RawMesh, Submesh, SubmeshId};
 use kiln_bench::{median, model};
 use kiln_lod::merge::{MergeOptions, merge};
-use kiln_lod::simplify::{SimplifyOptions, collapse};
+use kiln_lod::simplify::{Placement, SimplifyOptions, collapse, cut};
 use kiln_measure::surface_distance;
 use meshopt::{SimplifyOptions as Meshopt, VertexDataAdapter, typed_to_bytes};
 
@@ -61,6 +61,11 @@ fn compare(path: &std::path::Path, keep: f64) -> Result<(), String> {
         sequence.replay(&mesh, sequence.reach(budget))
     });
     let mut rows = vec![("kiln quadric, half-edge", level.map_err(|e| e.to_string())?, seconds)];
+    let (level, seconds) = median(RUNS, || {
+        let sequence = collapse(&mesh, &[], None, &options);
+        cut(&mesh, &[], &sequence, budget, Placement::Free)
+    });
+    rows.push(("kiln quadric, free", level, seconds));
 
     let indices: Vec<u32> = mesh.triangles.as_flattened().to_vec();
     let places: Vec<[f32; 3]> = mesh.positions.iter().map(|p| p.to_array()).collect();

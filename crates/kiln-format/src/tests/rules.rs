@@ -126,6 +126,8 @@ fn an_unknown_required_section_is_refused_by_name() {
 #[test]
 fn a_newer_version_of_a_required_section_is_refused_and_of_an_optional_one_skipped() {
     assert_eq!(codes_after(|b| edit_entry(b, 1, |e| e.version = 2)), [Code::SectionVersion]);
+    // A table that claims to be optional is still one that cannot be skipped.
+    assert_eq!(codes_after(|b| edit_entry(b, 4, |e| (e.version, e.flags) = (2, 0))), [Code::SectionVersion]);
     let mut bytes = write(&tiny().content()).expect("valid");
     edit_entry(&mut bytes, 5, |e| e.version = 2);
     rehash(&mut bytes);

@@ -35,7 +35,11 @@ fn normal_likeness(mesh: &Mesh, a: u32, b: u32) -> f32 {
 /// The error form of each point, as it grows along a sequence.
 pub(super) struct Forms {
     positions: Vec<DVec3>,
+    /// Before any collapse.
+    initial: Vec<Quadric>,
     quadrics: Vec<Quadric>,
+    /// Whether a point has taken in another.
+    grown: Vec<bool>,
     applied: usize,
 }
 
@@ -52,18 +56,34 @@ impl Forms {
         }
         let weights = LineWeights { border: options.border_weight, inner: options.line_weight };
         let quadrics = quadric::initial(topology, &positions, carried, weights);
-        Forms { positions, quadrics, applied: 0 }
+        let grown = vec![false; quadrics.len()];
+        Forms { positions, initial: quadrics.clone(), quadrics, grown, applied: 0 }
     }
 
-    /// Object-space forms of the points `points` after the first `count` collapses, no fewer than asked for before.
-    pub(super) fn at(&mut self, sequence: &CollapseSequence, count: usize, points: &[u32]) -> Vec<QuadricCoefficients> {
+    /// Brings the forms to where they stand after the first `count` collapses; going back starts anew.
+    pub(super) fn go_to(&mut self, sequence: &CollapseSequence, count: usize) {
+        if count < self.applied {
+            self.quadrics.copy_from_slice(&self.initial);
+            self.grown.fill(false);
+            self.applied = 0;
+        }
         while self.applied < count {
             let Collapse { from, to, .. } = sequence.collapses[self.applied];
             let step = self.positions[to as usize] - self.positions[from as usize];
             let moved = self.quadrics[from as usize].about(step);
             self.quadrics[to as usize].add(&moved);
+            self.grown[to as usize] = true;
             self.applied += 1;
         }
+    }
+
+    /// The form of a point about its own place, if it has taken in another.
+    pub(super) fn grown(&self, point: u32) -> Option<Quadric> {
+        self.grown[point as usize].then(|| self.quadrics[point as usize])
+    }
+
+    /// Object-space forms of the points `points`.
+    pub(super) fn object_space(&self, points: &[u32]) -> Vec<QuadricCoefficients> {
         points.iter().map(|p| self.quadrics[*p as usize].about(-self.positions[*p as usize]).coefficients()).collect()
     }
 }

@@ -13,13 +13,14 @@
 //!     forbidden: the point's next dearer target; else
 //!     collapse: faces at both ends vanish, wedges go to their partners, quadrics add; log it
 //!     price `to` and its neighbours again
-//! level     <- the shortest prefix of the log that meets the budget, replayed; then its distance to the source is measured
+//! level     <- the shortest prefix of the log that meets the budget, replayed; free placement moves its points to where their
+//!              forms are least (place); then its distance to the source is measured
 //! ```
 //! No crack can open: submeshes share points, and a point of a seam or boundary goes with all its wedges at once, each to the
 //! wedge that its own faces have at the other end.
 //!
-//! **Departures.** Garland and Heckbert place the kept point where the quadric is least; here it is an end (so that levels are
-//! subsets of one vertex buffer), and they weigh border planes by 1000, here by a factor found on open scans. Lines use the
+//! **Departures.** Garland and Heckbert place the kept point where the quadric is least at every collapse; here it is an end (so
+//! that levels are subsets of one vertex buffer), or moves once, after the cut; and they weigh border planes by 1000, here by a factor found on open scans. Lines use the
 //! same plane weights in a scale-free unit (square edge length).
 //!
 //! **Limits.** Points where lines meet and points without a fan never go, so models of many small charts or parts stop early; the
@@ -33,6 +34,7 @@
 mod collapse;
 mod error;
 mod heap;
+mod place;
 mod quadric;
 pub mod rules;
 pub mod sequence;
@@ -90,16 +92,28 @@ pub enum Budget {
     Error(f32),
 }
 
+/// Where the kept points of a level stand.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Placement {
+    /// Where they stood in the source, so that levels can share one vertex buffer.
+    #[default]
+    HalfEdge,
+    /// Where their forms are least, inside patches and on open borders.
+    Free,
+}
+
 /// How to cut and measure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LevelsOptions {
+    /// Where kept points stand.
+    pub placement: Placement,
     /// Most sample points a side when the error is measured; vertices first, then points spread over the faces by area.
     pub samples: u32,
 }
 
 impl Default for LevelsOptions {
     fn default() -> Self {
-        LevelsOptions { samples: 200_000 }
+        LevelsOptions { placement: Placement::HalfEdge, samples: 200_000 }
     }
 }
 
@@ -155,7 +169,8 @@ pub fn levels(
 ) -> (LodSet, SimplifyReport) {
     let source_triangles: u32 = mesh.submeshes.iter().map(|s| s.source_triangles).sum();
     let surface = error::Surface::new(source, options.samples);
-    let mut forms = collapse::Forms::new(mesh, carried, &SimplifyOptions::default());
+    let forms = collapse::Forms::new(mesh, carried, &SimplifyOptions::default());
+    let mut cutter = Cutter { mesh, sequence, forms, placement: options.placement };
     let mut set = LodSet { levels: Vec::new(), layout: None, source_triangles };
     let mut report = SimplifyReport::default();
     let mut least = 0.0_f32;
@@ -163,15 +178,15 @@ pub fn levels(
     for budget in budgets {
         let (count, measured) = match *budget {
             Budget::Keep(share) => {
-                by_faces(mesh, sequence, &surface, (share * f64::from(source_triangles)).floor() as u32, finest)
+                cutter.by_faces(&surface, (share * f64::from(source_triangles)).floor() as u32, finest)
             }
-            Budget::Triangles(faces) => by_faces(mesh, sequence, &surface, faces, finest),
-            Budget::Error(error) => by_error(mesh, sequence, &surface, error, finest),
+            Budget::Triangles(faces) => cutter.by_faces(&surface, faces, finest),
+            Budget::Error(error) => cutter.by_error(&surface, error, finest),
         };
-        let (level, origin) = sequence
-            .replay_with_points(mesh, count)
-            .expect("invariant: a replay of the mesh's own sequence keeps its promises");
-        let quadrics = forms.at(sequence, count, &origin);
+        let (level, origin) = cutter.replay(count);
+        let gaps = check::gaps(mesh, &level) as u32;
+        let level = cutter.placed(level, &origin);
+        let quadrics = cutter.forms.object_space(&origin);
         finest = count;
         least = least.max(measured);
         let asked = match *budget {
@@ -194,7 +209,7 @@ pub fn levels(
             submeshes: (0..level.submeshes.len() as u32)
                 .map(|s| level.submesh_faces(kiln_asset::SubmeshId(s)).len() as u32)
                 .collect(),
-            gaps: check::gaps(mesh, &level) as u32,
+            gaps,
             short: short.map(|()| why_short(&asked, faces, sequence)),
         });
         set.levels.push(Level { mesh: level, error: least, quadrics });
@@ -202,47 +217,82 @@ pub fn levels(
     (set, report)
 }
 
-fn by_faces(
+/// One level of `sequence` with at most `faces` triangles, if that is in reach, and unmeasured; `mesh` and `carried` as for
+/// [`levels`].
+///
+/// # Panics
+/// If `sequence` is of another mesh.
+pub fn cut(
     mesh: &Mesh,
+    carried: &[QuadricCoefficients],
     sequence: &CollapseSequence,
-    surface: &error::Surface<'_>,
     faces: u32,
-    finest: usize,
-) -> (usize, f32) {
-    let count = sequence.reach(faces).max(finest);
-    (count, surface.distance(&replayed(mesh, sequence, count)))
+    placement: Placement,
+) -> Mesh {
+    let forms = collapse::Forms::new(mesh, carried, &SimplifyOptions::default());
+    Cutter { mesh, sequence, forms, placement }.cut(sequence.reach(faces))
 }
 
-/// The coarsest cut whose measured distance is at most `error`: starts where the metric says so, then halves the range.
-fn by_error(
-    mesh: &Mesh,
-    sequence: &CollapseSequence,
-    surface: &error::Surface<'_>,
-    error: f32,
-    finest: usize,
-) -> (usize, f32) {
-    let mut best = (finest, surface.distance(&replayed(mesh, sequence, finest)));
-    let (mut low, mut high) = (finest, sequence.collapses.len());
-    let mut probe = sequence.within(error).clamp(low, high);
-    // Measured distances are not quite monotone in the cut; ten halvings find a cut that holds, not always the last one.
-    for _ in 0..10 {
-        if low >= high {
-            break;
-        }
-        let measured = surface.distance(&replayed(mesh, sequence, probe));
-        if measured <= error {
-            best = (probe, measured);
-            low = probe + 1;
-        } else {
-            high = probe;
-        }
-        probe = low + (high - low) / 2;
+/// What levels are cut from.
+struct Cutter<'a> {
+    mesh: &'a Mesh,
+    sequence: &'a CollapseSequence,
+    forms: collapse::Forms,
+    placement: Placement,
+}
+
+impl Cutter<'_> {
+    /// What the first `count` collapses leave, and for each of its points the mesh's point that it is; the forms stand there then.
+    fn replay(&mut self, count: usize) -> (Mesh, Vec<u32>) {
+        self.forms.go_to(self.sequence, count);
+        (self.sequence.replay_with_points(self.mesh, count))
+            .expect("invariant: a replay of the mesh's own sequence keeps its promises")
     }
-    best
-}
 
-fn replayed(mesh: &Mesh, sequence: &CollapseSequence, count: usize) -> Mesh {
-    sequence.replay(mesh, count).expect("invariant: a replay of the mesh's own sequence keeps its promises")
+    /// The level with its points where they shall stand; the forms must stand at its cut.
+    fn placed(&self, level: Mesh, origin: &[u32]) -> Mesh {
+        if self.placement == Placement::HalfEdge {
+            return level;
+        }
+        let forms: Vec<_> = origin.iter().map(|p| self.forms.grown(*p)).collect();
+        place::place(&level, &forms, SimplifyOptions::default().turn_cosine)
+    }
+
+    fn cut(&mut self, count: usize) -> Mesh {
+        let (level, origin) = self.replay(count);
+        self.placed(level, &origin)
+    }
+
+    fn measure(&mut self, surface: &error::Surface<'_>, count: usize) -> f32 {
+        surface.distance(&self.cut(count))
+    }
+
+    fn by_faces(&mut self, surface: &error::Surface<'_>, faces: u32, finest: usize) -> (usize, f32) {
+        let count = self.sequence.reach(faces).max(finest);
+        (count, self.measure(surface, count))
+    }
+
+    /// The coarsest cut whose measured distance is at most `error`: starts where the metric says so, then halves the range.
+    fn by_error(&mut self, surface: &error::Surface<'_>, error: f32, finest: usize) -> (usize, f32) {
+        let mut best = (finest, self.measure(surface, finest));
+        let (mut low, mut high) = (finest, self.sequence.collapses.len());
+        let mut probe = self.sequence.within(error).clamp(low, high);
+        // Measured distances are not quite monotone in the cut; ten halvings find a cut that holds, not always the last one.
+        for _ in 0..10 {
+            if low >= high {
+                break;
+            }
+            let measured = self.measure(surface, probe);
+            if measured <= error {
+                best = (probe, measured);
+                low = probe + 1;
+            } else {
+                high = probe;
+            }
+            probe = low + (high - low) / 2;
+        }
+        best
+    }
 }
 
 fn why_short(asked: &str, faces: u32, sequence: &CollapseSequence) -> String {

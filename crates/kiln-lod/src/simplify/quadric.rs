@@ -4,7 +4,7 @@
 //! constant parts start as exact zeros, and what is subtracted while evaluating is of the size of an edge and not of the
 //! model: flat regions cost 0 and not noise.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use kiln_asset::QuadricCoefficients;
 
 use crate::topology::{EdgeKind, Topology, is_degenerate};
@@ -58,6 +58,21 @@ impl Quadric {
     #[inline]
     pub(crate) fn at(&self, d: DVec3) -> f64 {
         (self.slope(d) + DVec3::new(self.x, self.y, self.z)).dot(d) + self.one
+    }
+
+    /// Where the form plus `pull` times the square distance from the origin is least; `None` where that is not told.
+    pub(crate) fn least(&self, pull: f64) -> Option<DVec3> {
+        let matrix = DMat3::from_cols(
+            DVec3::new(self.xx + pull, self.xy, self.xz),
+            DVec3::new(self.xy, self.yy + pull, self.yz),
+            DVec3::new(self.xz, self.yz, self.zz + pull),
+        );
+        let trace = self.xx + self.yy + self.zz + 3.0 * pull;
+        // Singular to rounding: no place is better than another.
+        if matrix.determinant() <= 1e-18 * trace * trace * trace {
+            return None;
+        }
+        Some(-(matrix.inverse() * DVec3::new(self.x, self.y, self.z))).filter(|step| step.is_finite())
     }
 
     /// The same form about the place `d` from the origin.
@@ -165,6 +180,21 @@ mod tests {
         assert!((form.at(place) - direct).abs() < 1e-15);
         let moved = form.about(DVec3::new(-1.0, 2.0, 0.5));
         assert!((moved.at(place - DVec3::new(-1.0, 2.0, 0.5)) - direct).abs() < 1e-14);
+    }
+
+    #[test]
+    fn three_planes_are_least_where_they_meet() {
+        let corner = DVec3::new(0.3, -0.2, 0.9);
+        let mut form = Quadric::default();
+        for n in [DVec3::X, DVec3::Y, DVec3::new(0.6, 0.0, 0.8)] {
+            form.add(&Quadric::plane(n, 2.0, 2.0).about(-corner));
+        }
+        assert!(form.at(corner).abs() < 1e-14);
+        assert!(form.least(0.0).is_some_and(|found| found.distance(corner) < 1e-12));
+        let flat = Quadric::plane(DVec3::Z, 1.0, 1.0).about(DVec3::new(5.0, 6.0, -0.5));
+        assert_eq!(flat.least(0.0), None, "a plane has no least place");
+        let pulled = flat.least(1e-6).expect("the pull tells");
+        assert!(pulled.distance(DVec3::new(0.0, 0.0, 0.5)) < 1e-5, "{pulled}");
     }
 
     #[test]

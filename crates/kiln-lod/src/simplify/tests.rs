@@ -1,3 +1,4 @@
+use glam::Vec3;
 use kiln_asset::{BlobError, RawMesh};
 use proptest::prelude::*;
 
@@ -7,7 +8,8 @@ use crate::topology::{PointKind, Topology};
 
 fn cut(mesh: &Mesh, budget: Budget) -> (Mesh, LevelReport) {
     let sequence = collapse(mesh, &[], None, &SimplifyOptions::default());
-    let (mut set, mut report) = levels(mesh, &[], &sequence, mesh, &[budget], &LevelsOptions { samples: 20_000 });
+    let (mut set, mut report) =
+        levels(mesh, &[], &sequence, mesh, &[budget], &LevelsOptions { samples: 20_000, ..LevelsOptions::default() });
     (set.levels.remove(0).mesh, report.levels.remove(0))
 }
 
@@ -33,6 +35,94 @@ fn a_flat_grid_collapses_to_two_faces_and_keeps_its_border() {
     let (level, report) = cut(&fixtures::grid(12, 9), Budget::Triangles(2));
     assert_eq!(level.face_count(), 2, "{report:?}");
     assert!(report.error < 1e-6, "the rectangle is still the rectangle: {report:?}");
+}
+
+/// Mean distance of points spread over the level from the unit sphere.
+fn mean_off_sphere(level: &Mesh) -> f64 {
+    let samples = kiln_geom::sample::SurfaceSamples::new(&level.positions, &level.triangles, 20_000, 3);
+    let off = |p: Vec3| (f64::from(p.length()) - 1.0).abs();
+    samples.samples.iter().map(|s| off(s.position)).sum::<f64>() / samples.samples.len() as f64
+}
+
+#[test]
+fn free_placement_brings_a_sphere_s_levels_nearer_to_it() {
+    let mesh = fixtures::sphere(96, 64);
+    let sequence = collapse(&mesh, &[], None, &SimplifyOptions::default());
+    for faces in [3000, 600, 120] {
+        let [half, free] = [Placement::HalfEdge, Placement::Free].map(|p| super::cut(&mesh, &[], &sequence, faces, p));
+        assert_eq!(half.triangles, free.triangles, "the log decides the triangles");
+        let (half, free) = (mean_off_sphere(&half), mean_off_sphere(&free));
+        assert!(free < 0.75 * half, "{faces} faces: {free:e} for {half:e}");
+    }
+}
+
+/// A bumpy sheet whose UVs and colours follow x and y, so that every wrong attribute shows.
+fn painted_field() -> Mesh {
+    let mut raw = fixtures::field(48, 48, |x, y| (x * 0.3).sin() * (y * 0.2).cos()).into_raw();
+    let uv = |p: &Vec3| glam::Vec2::new(p.x, p.y) / 48.0;
+    raw.uv0 = Some(raw.positions.iter().map(uv).collect());
+    raw.colors = Some(raw.positions.iter().map(|p| glam::Vec4::new(p.x / 48.0, p.y / 48.0, 0.5, 1.0)).collect());
+    Mesh::new(raw).unwrap()
+}
+
+#[test]
+fn free_placement_takes_attributes_along_and_flips_nothing() {
+    let mesh = painted_field();
+    let sequence = collapse(&mesh, &[], None, &SimplifyOptions::default());
+    let free = super::cut(&mesh, &[], &sequence, 300, Placement::Free);
+    let half = super::cut(&mesh, &[], &sequence, 300, Placement::HalfEdge);
+    let moved = free.positions.iter().zip(&half.positions).filter(|(a, b)| a != b).count();
+    assert!(moved > free.vertex_count() / 2, "{moved} of {} points moved", free.vertex_count());
+    for (p, (uv, color)) in
+        free.positions.iter().zip(free.uv0.as_ref().unwrap().iter().zip(free.colors.as_ref().unwrap()))
+    {
+        let expected = glam::Vec2::new(p.x, p.y) / 48.0;
+        // A point that moves off its faces takes the nearest place on them: a hundredth of the sheet is half a coarse face.
+        assert!(uv.distance(expected) < 0.01 && color.truncate().truncate().distance(*uv) < 1e-5, "{p}: {uv}, {color}");
+    }
+    let uvs = free.uv0.as_ref().unwrap();
+    for triangle in &free.triangles {
+        let [a, b, c] = triangle.map(|v| free.positions[v as usize]);
+        assert!((b - a).cross(c - a).z > 0.0, "a face turned over");
+        let [a, b, c] = triangle.map(|v| uvs[v as usize]);
+        assert!((b - a).perp_dot(c - a) > 0.0, "a face turned over in the UV plane");
+    }
+}
+
+#[test]
+fn free_placement_leaves_seams_boundaries_and_untouched_points_bit_for_bit() {
+    let mesh = fixtures::merged_pair(24, 20);
+    let sequence = collapse(&mesh, &[], None, &SimplifyOptions::default());
+    assert_eq!(super::cut(&mesh, &[], &sequence, mesh.face_count() as u32, Placement::Free), mesh);
+    let free = super::cut(&mesh, &[], &sequence, 200, Placement::Free);
+    let topology = Topology::new(&free);
+    let half = super::cut(&mesh, &[], &sequence, 200, Placement::HalfEdge);
+    assert_eq!((&free.points, &free.triangles), (&half.points, &half.triangles), "no point is split");
+    for (p, first) in free.points.iter().zip(0..) {
+        let joined = free.points.iter().position(|q| q == p).unwrap();
+        let apart = free.positions[joined].distance(free.positions[first]);
+        assert!(apart < 1e-6, "wedges of one point stand {apart} apart");
+    }
+    let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
+    let source: std::collections::BTreeSet<_> = mesh.positions.iter().map(bits).collect();
+    for (v, p) in free.points.iter().enumerate() {
+        if topology.kinds[p.index()] == PointKind::Boundary {
+            assert!(source.contains(&bits(&free.positions[v])), "boundary vertex {v} moved");
+        }
+    }
+}
+
+#[test]
+fn an_error_budget_holds_for_placed_levels_too() {
+    let mesh = painted_field();
+    let sequence = collapse(&mesh, &[], None, &SimplifyOptions::default());
+    let options = LevelsOptions { placement: Placement::Free, samples: 20_000 };
+    let (set, report) = levels(&mesh, &[], &sequence, &mesh, &[Budget::Error(0.05), Budget::Error(0.2)], &options);
+    for (level, asked) in set.levels.iter().zip([0.05, 0.2]) {
+        assert!(level.error <= asked && surface_error(&mesh, &level.mesh, 20_000) <= asked, "{report:?}");
+    }
+    let (again, _) = levels(&mesh, &[], &sequence, &mesh, &[Budget::Error(0.05), Budget::Error(0.2)], &options);
+    assert_eq!(set, again);
 }
 
 #[test]

@@ -4,7 +4,7 @@
 use kiln_asset::{LodSet, Mesh};
 use kiln_engine::{Action, ActionError, Context, Outputs, Source};
 use kiln_lod::normals;
-use kiln_lod::simplify::{Budget, CollapseSequence, LevelsOptions, SimplifyOptions, collapse, levels};
+use kiln_lod::simplify::{Budget, CollapseSequence, LevelsOptions, Placement, SimplifyOptions, collapse, levels};
 
 use super::{StageError, json, load_levels, params};
 use crate::foreign;
@@ -17,7 +17,7 @@ pub(crate) const COLLAPSE_VERSION: u32 = 1;
 pub(crate) const LEVELS_VERSION: u32 = 1;
 
 /// Keys that only the cut reads.
-const LEVEL_KEYS: [&str; 3] = ["levels", "normals", "normal-angle"];
+const LEVEL_KEYS: [&str; 4] = ["levels", "normals", "normal-angle", "placement"];
 
 /// Output: `sequence`.
 pub(crate) fn collapse_action(id: String, label: String, options: &options::SimplifyOptions, input: Source) -> Action {
@@ -76,7 +76,12 @@ fn cut(context: &Context<'_>, options: &options::SimplifyOptions) -> Result<Outp
             LevelBudget::Error(length) => Budget::Error(length.resolve(diagonal)),
         })
         .collect();
-    let (cut, report) = levels(&finest.mesh, &finest.quadrics, &sequence, &source, &budgets, &LevelsOptions::default());
+    let placement = match options.placement {
+        options::Placement::HalfEdge => Placement::HalfEdge,
+        options::Placement::Free => Placement::Free,
+    };
+    let how = LevelsOptions { placement, ..LevelsOptions::default() };
+    let (cut, report) = levels(&finest.mesh, &finest.quadrics, &sequence, &source, &budgets, &how);
     let levels = cut
         .levels
         .into_iter()

@@ -1,6 +1,8 @@
 //! The short replay: every seed, every file that once broke a promise, and seeded changes of each, through the same bodies as
 //! fuzzing for hours. A broken promise is a panic here, which names the file and the change.
 
+#![allow(clippy::unwrap_used, reason = "tests")]
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};

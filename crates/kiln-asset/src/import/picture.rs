@@ -109,8 +109,8 @@ impl<'a, 'f> Pictures<'a, 'f> {
     }
 }
 
-/// A file's name as another file spells it, as a path that stays inside the model's folder: quotes around it go, backslashes
-/// separate folders too. `beside`: the file that names it, in whose folder it lies.
+/// A file's name as another file spells it, as a path seen from the model's folder ([`Sources::file`] judges whether it may leave
+/// that): quotes around it go, backslashes separate folders too. `beside`: the file that names it, in whose folder it lies.
 ///
 /// # Errors
 /// What is wrong with it.
@@ -126,8 +126,8 @@ pub(super) fn file_beside(
     // Only a name that is inside by itself, or climbs out of its own folder, may follow a folder.
     let absolute = name.starts_with('/') || name.split('/').next().is_some_and(|first| first.contains(':'));
     match beside.rsplit_once('/').filter(|_| !absolute && !name.is_empty()) {
-        Some((folder, _)) => uri::relative(&format!("{folder}/{name}"), false),
-        None => uri::relative(&name, false),
+        Some((folder, _)) => uri::relative(&format!("{folder}/{name}")),
+        None => uri::relative(&name),
     }
 }
 
@@ -136,15 +136,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn file_names_stay_inside_the_folder() {
+    fn file_names_are_seen_from_the_model_s_folder_and_never_absolute() {
         let file = |beside: &str, name: &str| file_beside(beside, name, String::new, &mut Notes::default());
         assert_eq!(file("a.mtl", "tex\\wood.png"), Ok("tex/wood.png".into()));
         assert_eq!(file("sub/a.mtl", "wood 2.png"), Ok("sub/wood 2.png".into()));
         assert_eq!(file("sub/a.mtl", "\"..\\wood.png\""), Ok("wood.png".into()));
         assert_eq!(file("sub/a.mtl", "100%.png"), Ok("sub/100%.png".into()));
+        assert_eq!(file("a.mtl", "..\\wood.png"), Ok("../wood.png".into()));
+        assert_eq!(file("sub/a.mtl", "../../wood.png"), Ok("../wood.png".into()));
         for (beside, name) in [
-            ("a.mtl", "..\\wood.png"),
-            ("sub/a.mtl", "../../wood.png"),
             ("sub/a.mtl", "/wood.png"),
             ("sub/a.mtl", "C:\\wood.png"),
             ("sub/a.mtl", "\\\\host\\wood.png"),

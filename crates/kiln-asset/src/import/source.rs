@@ -54,8 +54,11 @@ impl<'f> Sources<'f> {
         Sources { files, loaded: BTreeMap::new(), left: limits.max_file_bytes, outside: limits.allow_outside }
     }
 
-    /// The file `relative`, at most as long as the limits leave.
+    /// The file `relative`, if it lies where files may lie; at most as long as the limits leave.
     pub(super) fn file(&mut self, relative: &str) -> Result<Arc<[u8]>, Failure> {
+        if relative.starts_with("../") && !self.outside {
+            return Err(Failure::Invalid(uri::leaves(relative)));
+        }
         if let Some(bytes) = self.loaded.get(relative) {
             return Ok(bytes.clone());
         }
@@ -74,7 +77,7 @@ impl<'f> Sources<'f> {
 
     /// What a URI refers to, and its file's path if it is one.
     pub(super) fn uri(&mut self, uri: &str) -> Result<(Arc<[u8]>, Option<String>), Failure> {
-        match uri::resolve(uri, self.outside).map_err(Failure::Invalid)? {
+        match uri::resolve(uri).map_err(Failure::Invalid)? {
             Target::Bytes(bytes) => Ok((bytes.into(), None)),
             Target::File(path) => Ok((self.file(&path)?, Some(path))),
         }

@@ -9,17 +9,17 @@ pub(super) enum Target {
     File(String),
 }
 
-/// What `uri` refers to; `outside`: a path may leave the model's folder.
+/// What `uri` refers to.
 ///
 /// # Errors
-/// What is wrong with it: other schemes, absolute paths, paths that leave the folder, broken escapes or base64.
-pub(super) fn resolve(uri: &str, outside: bool) -> Result<Target, String> {
+/// What is wrong with it: other schemes, absolute paths, broken escapes or base64.
+pub(super) fn resolve(uri: &str) -> Result<Target, String> {
     if let Some(data) = strip_scheme(uri, "data:") {
         return decode_data(data).map(Target::Bytes);
     }
     let decoded = percent_decode(uri)?;
     let text = String::from_utf8(decoded).map_err(|_| "file name is not UTF-8".to_owned())?;
-    relative(&text, outside).map(Target::File)
+    relative(&text).map(Target::File)
 }
 
 fn strip_scheme<'a>(uri: &'a str, scheme: &str) -> Option<&'a str> {
@@ -27,10 +27,13 @@ fn strip_scheme<'a>(uri: &'a str, scheme: &str) -> Option<&'a str> {
     head.eq_ignore_ascii_case(scheme).then(|| &uri[scheme.len()..])
 }
 
-/// The path without `.` and inner `..`. It stays inside the folder unless it may go `outside`, and then starts with `..`; it is
-/// never absolute.
-pub(super) fn relative(text: &str, outside: bool) -> Result<String, String> {
-    let leaves = || format!("`{text}` leaves the model's folder; move the file beside the model, or allow files outside");
+/// What to say of a path that leaves the model's folder and may not.
+pub(super) fn leaves(path: &str) -> String {
+    format!("`{path}` leaves the model's folder; move the file beside the model, or allow files outside")
+}
+
+/// The path without `.` and inner `..`. Where it leaves the folder it starts with `..`; it is never absolute.
+pub(super) fn relative(text: &str) -> Result<String, String> {
     let absolute = || format!("`{text}` is no relative path; move the file beside the model");
     if text.is_empty() {
         return Err("is empty".into());
@@ -47,8 +50,7 @@ pub(super) fn relative(text: &str, outside: bool) -> Result<String, String> {
             "" | "." => {}
             ".." => match parts.last() {
                 Some(last) if *last != ".." => drop(parts.pop()),
-                _ if outside => parts.push(".."),
-                _ => return Err(leaves()),
+                _ => parts.push(".."),
             },
             // `http://x`, `file:x`, `C:x`: neither remote nor absolute files are fetched.
             part if i == 0 && part.contains(':') => return Err(absolute()),
@@ -120,18 +122,15 @@ mod tests {
 
     #[test]
     fn file_uris_are_decoded_and_stay_inside() {
-        let file = |uri: &str| resolve(uri, false).expect("inside");
+        let file = |uri: &str| resolve(uri).expect("inside");
         assert_eq!(file("a%20b/c.png"), Target::File("a b/c.png".into()));
         assert_eq!(file("./x/../tex.png"), Target::File("tex.png".into()));
         assert_eq!(file("%C3%A4.bin"), Target::File("\u{e4}.bin".into()));
     }
 
     #[test]
-    fn uris_that_leave_the_folder_are_refused() {
+    fn uris_that_are_no_relative_paths_are_refused() {
         for uri in [
-            "../x.bin",
-            "a/../../x.bin",
-            "%2e%2e/x.bin",
             "/etc/passwd",
             "//host/x",
             "http://host/x.bin",
@@ -145,14 +144,15 @@ mod tests {
             "%zz",
             "%F",
         ] {
-            assert!(resolve(uri, false).is_err(), "{uri} was taken");
+            assert!(resolve(uri).is_err(), "{uri} was taken");
         }
     }
 
     #[test]
-    fn with_leave_relative_paths_may_leave_the_folder_and_absolute_ones_still_may_not() {
-        let file = |uri: &str| resolve(uri, true).ok();
+    fn paths_that_leave_the_folder_say_so_at_their_start() {
+        let file = |uri: &str| resolve(uri).ok();
         assert_eq!(file("../a/b.png"), Some(Target::File("../a/b.png".into())));
+        assert_eq!(file("%2e%2e/b.png"), Some(Target::File("../b.png".into())));
         assert_eq!(file("a/../../../b.png"), Some(Target::File("../../b.png".into())));
         for uri in ["..", "a/../..", "/etc/passwd", "http://host/x", "C:/x", "..\\x"] {
             assert_eq!(file(uri), None, "{uri}");
@@ -161,14 +161,14 @@ mod tests {
 
     #[test]
     fn data_uris_are_decoded() {
-        let data = |uri: &str| resolve(uri, false).expect("data");
+        let data = |uri: &str| resolve(uri).expect("data");
         assert_eq!(data("data:application/octet-stream;base64,AAEC/w=="), Target::Bytes(vec![0, 1, 2, 255]));
         assert_eq!(data("DATA:;base64,TWE="), Target::Bytes(b"Ma".to_vec()));
         assert_eq!(data("data:;base64,TWFu"), Target::Bytes(b"Man".to_vec()));
         assert_eq!(data("data:;base64,TWFu%2B%2B%2B%2B"), Target::Bytes(vec![b'M', b'a', b'n', 0xFB, 0xEF, 0xBE]));
         assert_eq!(data("data:text/plain,a%20b"), Target::Bytes(b"a b".to_vec()));
         for uri in ["data:;base64", "data:;base64,A", "data:;base64,TW!u", "data:;base64,T=Fu"] {
-            assert!(resolve(uri, false).is_err(), "{uri} was taken");
+            assert!(resolve(uri).is_err(), "{uri} was taken");
         }
     }
 }

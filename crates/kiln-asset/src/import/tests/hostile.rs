@@ -145,6 +145,27 @@ fn every_malformed_document_names_the_place() {
 }
 
 #[test]
+fn files_outside_the_folder_are_read_only_where_that_is_allowed() {
+    let mut model = square();
+    model.close();
+    model.document["buffers"][0]["uri"] = json!("a/../%2e%2e/shared/b.bin");
+    let files = Memory(BTreeMap::from([
+        ("m.gltf".to_owned(), model.document.to_string().into_bytes()),
+        ("../shared/b.bin".to_owned(), model.bytes.clone()),
+        ("m.obj".to_owned(), b"mtllib ..\\shared\\m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n".to_vec()),
+        ("../shared/m.mtl".to_owned(), b"newmtl red\nKd 1 0 0\n".to_vec()),
+    ]));
+    let allowed = ImportLimits { allow_outside: true, ..ImportLimits::default() };
+    for (main, place) in [("m.gltf", "buffers[0].uri"), ("m.obj", "m.obj:1")] {
+        assert_eq!(defect_paths(import(&files, main, &ImportLimits::default())), [place]);
+        let (asset, _) = import(&files, main, &allowed).unwrap();
+        assert!(asset.mesh.face_count() > 0);
+    }
+    let (asset, _) = import(&files, "m.obj", &allowed).unwrap();
+    assert_eq!(asset.materials.materials[0].base_color_factor[..3], [1.0, 0.0, 0.0]);
+}
+
+#[test]
 fn what_is_not_read_is_refused_by_name() {
     let cases: Vec<(&str, Value, &str, &str)> = vec![
         ("/asset/version", json!("1.0"), "asset.version", "1.0"),
@@ -171,7 +192,7 @@ fn what_is_not_read_is_refused_by_name() {
             other => panic!("{pointer}: {:?}", other.map(|(_, report)| report)),
         }
     }
-    assert!(matches!(import_bytes("a.obj", Vec::new()), Err(ImportError::Unsupported(_))));
+    assert!(matches!(import_bytes("a.fbx", Vec::new()), Err(ImportError::Unsupported(_))));
 }
 
 #[test]

@@ -7,7 +7,7 @@ use crate::space::{SMALL, Space, repository, small};
 #[test]
 fn help_names_every_command_and_the_exit_codes() {
     let help = Space::new().run(["--help"]).expect(0).stdout;
-    for word in ["init", "build", "why", "inspect", "check", "export", "doctor", "stage", "64 bad usage"] {
+    for word in ["init", "build", "why", "inspect", "check", "export", "compare", "doctor", "stage", "64 bad usage"] {
         assert!(help.contains(word), "{word} is not in\n{help}");
     }
 }

@@ -8,6 +8,7 @@ mod space;
 
 mod bake;
 mod command;
+mod compare;
 mod container;
 mod corpus;
 mod crash;

@@ -15,9 +15,10 @@ use kiln_asset::Mesh;
 use kiln_geom::Bvh;
 use kiln_geom::sample::{SurfaceSample, SurfaceSamples};
 use rayon::prelude::*;
+use serde::Serialize;
 
 /// How far two surfaces are apart, both ways.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Distances {
     /// Mean distance, object units.
     pub mean: f64,

@@ -3,11 +3,14 @@
 //! Source: P. Lindstrom, G. Turk, Image-driven simplification, ACM TOG 19(3), 2000, doi:10.1145/353981.353995 (the RMS over
 //! all pixels of all views), here over RGB on the 0..255 scale.
 
+use serde::Serialize;
+
 use crate::MeasureError;
+use crate::pool::on_object;
 use crate::render::Picture;
 
 /// How far pictures of two models, view by view, are apart.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ImageError {
     /// Root of the mean square over all pixels and channels of all views, codes 0..255.
     pub rmse: f64,
@@ -17,7 +20,7 @@ pub struct ImageError {
     pub rmse_worst: f64,
     /// RMSE over the pixels that either model covers: the figure to compare between models.
     pub rmse_object: f64,
-    /// Peak signal-to-noise ratio of `rmse`, dB; infinite for equal pictures.
+    /// Peak signal-to-noise ratio of `rmse`, dB; infinite for equal pictures (null in JSON).
     pub psnr: f64,
     /// Coverage that differs, as a share of the reference's coverage.
     pub silhouette_xor: f64,
@@ -35,48 +38,82 @@ pub fn image_error(reference: &[Picture], other: &[Picture]) -> Result<ImageErro
     if reference.len() != other.len() {
         return Err(MeasureError::ViewCount { reference: reference.len(), other: other.len() });
     }
-    let (mut per_view, mut object_sum, mut object_count) = (Vec::new(), 0.0, 0u64);
-    let (mut all_sum, mut all_count) = (0.0, 0u64);
-    let (mut differing, mut of_reference, mut common, mut either) = (0.0, 0.0, 0.0, 0.0);
-    for (view, (r, o)) in reference.iter().zip(other).enumerate() {
-        if (r.width, r.height) != (o.width, o.height) {
-            return Err(MeasureError::PictureSize {
-                view,
-                reference_width: r.width,
-                reference_height: r.height,
-                width: o.width,
-                height: o.height,
-            });
-        }
+    let mut sums = ImageErrorSums::default();
+    for (r, o) in reference.iter().zip(other) {
+        sums.add(r, o)?;
+    }
+    Ok(sums.finish())
+}
+
+/// [`image_error`] of pictures that come one pair at a time.
+#[derive(Clone, Debug, Default)]
+pub struct ImageErrorSums {
+    per_view: Vec<f64>,
+    /// Squares and channels.
+    all: (f64, u64),
+    object: (f64, u64),
+    /// Coverage, in pixels.
+    differing: f64,
+    of_reference: f64,
+    common: f64,
+    either: f64,
+}
+
+impl ImageErrorSums {
+    /// Adds the next view.
+    ///
+    /// # Errors
+    /// The pair differs in size.
+    pub fn add(&mut self, reference: &Picture, other: &Picture) -> Result<(), MeasureError> {
+        same_size(self.per_view.len(), reference, other)?;
         let mut sum = 0.0;
-        for (k, (a, b)) in r.codes.iter().zip(&o.codes).enumerate() {
+        for (k, (a, b)) in reference.codes.iter().zip(&other.codes).enumerate() {
             let square = (*a - *b).as_dvec3().length_squared();
             sum += square;
-            let (ca, cb) = (r.coverage[k] as f64, o.coverage[k] as f64);
-            if ca > 0.0 || cb > 0.0 {
-                object_sum += square;
-                object_count += 3;
+            let (ca, cb) = (reference.coverage[k] as f64, other.coverage[k] as f64);
+            if on_object(reference, other, k) {
+                self.object = (self.object.0 + square, self.object.1 + 3);
             }
-            differing += (ca - cb).abs();
-            of_reference += ca;
-            common += ca.min(cb);
-            either += ca.max(cb);
+            self.differing += (ca - cb).abs();
+            self.of_reference += ca;
+            self.common += ca.min(cb);
+            self.either += ca.max(cb);
         }
-        let count = 3 * r.codes.len() as u64;
-        per_view.push((sum / count.max(1) as f64).sqrt());
-        all_sum += sum;
-        all_count += count;
+        let count = 3 * reference.codes.len() as u64;
+        self.per_view.push((sum / count.max(1) as f64).sqrt());
+        self.all = (self.all.0 + sum, self.all.1 + count);
+        Ok(())
     }
-    let rmse = (all_sum / all_count.max(1) as f64).sqrt();
-    Ok(ImageError {
-        rmse,
-        rmse_mean: per_view.iter().sum::<f64>() / per_view.len().max(1) as f64,
-        rmse_worst: per_view.iter().fold(0.0, |worst: f64, e| worst.max(*e)),
-        rmse_object: (object_sum / object_count.max(1) as f64).sqrt(),
-        psnr: 20.0 * kiln_geom::math::ln64(255.0 / rmse) / std::f64::consts::LN_10,
-        silhouette_xor: differing / of_reference.max(1e-9),
-        silhouette_iou: if either > 0.0 { common / either } else { 1.0 },
-        per_view,
+
+    /// The figures over all views so far.
+    pub fn finish(self) -> ImageError {
+        let root_mean = |(sum, count): (f64, u64)| (sum / count.max(1) as f64).sqrt();
+        let rmse = root_mean(self.all);
+        ImageError {
+            rmse,
+            rmse_mean: self.per_view.iter().sum::<f64>() / self.per_view.len().max(1) as f64,
+            rmse_worst: self.per_view.iter().fold(0.0, |worst: f64, e| worst.max(*e)),
+            rmse_object: root_mean(self.object),
+            psnr: 20.0 * kiln_geom::math::ln64(255.0 / rmse) / std::f64::consts::LN_10,
+            silhouette_xor: self.differing / self.of_reference.max(1e-9),
+            silhouette_iou: if self.either > 0.0 { self.common / self.either } else { 1.0 },
+            per_view: self.per_view,
+        }
+    }
+}
+
+/// # Errors
+/// The pictures differ in size; `view` is for the message.
+pub(crate) fn same_size(view: usize, reference: &Picture, other: &Picture) -> Result<(), MeasureError> {
+    if (reference.width, reference.height) == (other.width, other.height) {
+        return Ok(());
+    }
+    Err(MeasureError::PictureSize {
+        view,
+        reference_width: reference.width,
+        reference_height: reference.height,
+        width: other.width,
+        height: other.height,
     })
 }
 

@@ -38,9 +38,15 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// The one mip level that fits a picture of `pixels` a side that frames `sphere`: log2 of the base colour's texels a
-    /// pixel, area-weighted over the textured triangles, rounded down. Reference and others are then filtered alike.
+    /// The one mip level that fits a picture of `pixels` a side that frames `sphere`: [`Scene::texel_density`] rounded down, 0
+    /// without textures. Reference and others are then filtered alike.
     pub fn mean_mip(&self, sphere: Sphere, pixels: u32) -> u32 {
+        self.texel_density(sphere, pixels).map_or(0, |density| density.floor().max(0.0) as u32)
+    }
+
+    /// log2 of the base colour's texels a pixel along a line, in a picture of `pixels` a side that frames `sphere`: area-weighted
+    /// over the textured triangles; `None` if none has an area.
+    pub fn texel_density(&self, sphere: Sphere, pixels: u32) -> Option<f64> {
         let scale = pixels as f64 / 2.0 / sphere.radius.max(f64::MIN_POSITIVE);
         let (mut texels, mut surface) = (0.0, 0.0);
         for (face, triangle) in self.mesh.triangles.iter().enumerate() {
@@ -52,10 +58,7 @@ impl<'a> Scene<'a> {
             texels += 0.5 * (b - a).perp_dot(c - a).abs();
             surface += kiln_geom::triangle::area(triangle.map(|v| self.mesh.positions[v as usize])) * scale * scale;
         }
-        if surface <= 0.0 {
-            return 0;
-        }
-        (0.5 * kiln_geom::math::log264((texels / surface).max(1e-9))).floor().max(0.0) as u32
+        (surface > 0.0).then(|| 0.5 * kiln_geom::math::log264((texels / surface).max(1e-9)))
     }
 }
 

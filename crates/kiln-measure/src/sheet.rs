@@ -8,10 +8,10 @@ use crate::{MeasureError, font};
 const GAP: u32 = 8;
 
 /// Size of a caption's pixel, pixels.
-const SCALE: u32 = 2;
+pub(crate) const SCALE: u32 = 2;
 
-const PAPER: [u8; 4] = [24, 24, 26, 255];
-const INK: [u8; 4] = [230, 230, 230, 255];
+pub(crate) const PAPER: [u8; 4] = [24, 24, 26, 255];
+pub(crate) const INK: [u8; 4] = [230, 230, 230, 255];
 
 /// A picture with a caption.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -58,7 +58,8 @@ fn paste(onto: &mut Raster, picture: &Raster, x: u32, y: u32) {
     }
 }
 
-fn write(onto: &mut Raster, text: &str, x: u32, y: u32, width: u32) {
+/// Draws a line of text with its upper left corner at `(x, y)`, cut at `width` pixels; it must lie within the picture.
+pub(crate) fn write(onto: &mut Raster, text: &str, x: u32, y: u32, width: u32) {
     let step = (font::WIDTH + 1) * SCALE;
     for (k, character) in text.chars().take((width / step) as usize).enumerate() {
         for gy in 0..font::HEIGHT * SCALE {

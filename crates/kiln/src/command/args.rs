@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use kiln_pipeline::language::Length;
 
 /// The offline LOD baker: a TOML pipeline merges, simplifies, unwraps, bakes and packs a model, and redoes only what changed.
 #[derive(Parser, Debug)]
@@ -15,7 +16,7 @@ pub(crate) struct Cli {
 
 const AFTER_HELP: &str = "\
 Output for people goes to standard error, data to standard output.
-Exit codes: 0 done, 1 finished with a budget missed or --deny warnings, 2 failed, 64 bad usage.
+Exit codes: 0 done, 1 a budget or threshold missed or --deny warnings, 2 failed, 64 bad usage.
 
 Start here:  kiln build pipelines/quickstart.toml     then run it again: nothing is left to do.
 With a model of your own:  kiln init MODEL";
@@ -35,6 +36,8 @@ pub(crate) enum Command {
     Check(CheckArgs),
     /// Write one level of a container, or all of them, as GLB
     Export(ExportArgs),
+    /// Measure how far two models, or levels of containers, are apart: pictures, surfaces, borders
+    Compare(CompareArgs),
     /// Show what the importer sees in a model and would change, or what this machine offers
     Doctor(DoctorArgs),
     /// Print every stage kind with its keys, types and defaults
@@ -154,6 +157,64 @@ pub(crate) struct ExportArgs {
     /// The GLB to write
     #[arg(short, long, value_name = "OUT.glb")]
     pub(crate) output: PathBuf,
+}
+
+/// `kiln compare`.
+#[derive(Args, Debug)]
+pub(crate) struct CompareArgs {
+    /// A model, or FILE.kiln#LEVEL for a level of a container [level 0 without a number]
+    #[arg(value_name = "REFERENCE")]
+    pub(crate) reference: PathBuf,
+    /// What is held against it, named the same way
+    #[arg(value_name = "OTHER")]
+    pub(crate) other: PathBuf,
+    /// Print all figures as JSON on standard output
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Write a contact sheet: original, other, difference, from the worst view to the best
+    #[arg(long, value_name = "OUT.png")]
+    pub(crate) sheet: Option<PathBuf>,
+    /// Rows of the sheet
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=100))]
+    pub(crate) rows: u64,
+    /// Views around the reference
+    #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    pub(crate) views: u64,
+    /// Width and height of each picture
+    #[arg(long, value_name = "PIXELS", default_value_t = 512, value_parser = clap::value_parser!(u32).range(16..=4096))]
+    pub(crate) size: u32,
+    /// Points on each surface
+    #[arg(long, value_name = "N", default_value_t = 500_000, value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
+    pub(crate) samples: u64,
+    /// Light the surfaces themselves, without normal maps
+    #[arg(long)]
+    pub(crate) no_normal_maps: bool,
+    /// Exit 1 if the RMSE of the object's pixels, flat or lit, is above this (codes, 0 to 255)
+    #[arg(long, value_name = "X", value_parser = finite)]
+    pub(crate) max_rmse: Option<f64>,
+    /// Exit 1 if a point of either surface lies further from the other: a length such as '0.01 diag' or '2 mm'
+    #[arg(long, value_name = "LENGTH", value_parser = length)]
+    pub(crate) max_distance: Option<Length>,
+    /// Exit 1 if the mean FLIP of the object's pixels, flat or lit, is above this (0 to 1)
+    #[arg(long, value_name = "X", value_parser = finite)]
+    pub(crate) max_flip: Option<f64>,
+    /// Exit 1 if the mean SSIM of the object's pixels, flat or lit, is below this (at most 1)
+    #[arg(long, value_name = "X", value_parser = finite)]
+    pub(crate) min_ssim: Option<f64>,
+    /// Exit 1 if less of the silhouettes is in common: intersection over union (0 to 1)
+    #[arg(long, value_name = "X", value_parser = finite)]
+    pub(crate) min_iou: Option<f64>,
+}
+
+/// A number that a figure can be held against.
+fn finite(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| number.is_finite());
+    number.ok_or_else(|| "expected a number, such as 0.05".to_owned())
+}
+
+/// A length as pipelines have it.
+fn length(text: &str) -> Result<Length, String> {
+    Length::parse(text).map_err(|_| "expected a number and a unit, such as '0.01 diag' or '2 mm'".to_owned())
 }
 
 /// `kiln doctor`.

@@ -7,7 +7,7 @@ use kiln_pack::{ExportLevels, InspectReport, export_container_glb, inspect as in
 use serde_json::json;
 
 use super::args::{CheckArgs, ExportArgs, InspectArgs};
-use super::{complain, data, read};
+use super::{complain, data, read, write};
 use crate::exit::Exit;
 use crate::summary;
 
@@ -124,7 +124,7 @@ pub(super) fn check(args: &CheckArgs) -> Exit {
     exit
 }
 
-/// Writes a level, or all, as GLB: beside and renamed, so that a failure leaves no half of it.
+/// Writes a level, or all, as GLB.
 pub(super) fn export(args: &ExportArgs) -> Exit {
     let bytes = match read(&args.file) {
         Ok(bytes) => bytes,
@@ -138,12 +138,8 @@ pub(super) fn export(args: &ExportArgs) -> Exit {
     for note in &report.notes {
         eprintln!("note: {note}");
     }
-    let mut beside = args.output.clone().into_os_string();
-    beside.push(format!(".{}.part", std::process::id()));
-    let written = std::fs::write(&beside, &glb).and_then(|()| std::fs::rename(&beside, &args.output));
-    if let Err(error) = written {
-        let _ = std::fs::remove_file(&beside);
-        return complain(Exit::Failed, &format!("cannot write {}: {error}", args.output.display()));
+    if let Err(exit) = write(&args.output, &glb) {
+        return exit;
     }
     eprintln!("{}: {}", args.output.display(), summary::bytes(glb.len() as u64));
     Exit::Done

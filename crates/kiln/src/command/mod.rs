@@ -2,6 +2,7 @@
 
 mod args;
 mod build;
+mod compare;
 mod container;
 mod diagnostics;
 mod doctor;
@@ -39,6 +40,7 @@ pub fn main() -> ExitCode {
         Command::Inspect(args) => container::inspect(&args),
         Command::Check(args) => container::check(&args),
         Command::Export(args) => container::export(&args),
+        Command::Compare(args) => compare::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Stage(args) => stage(args.kind.as_deref()),
     }
@@ -78,6 +80,17 @@ fn complain(exit: Exit, message: &str) -> Exit {
 /// A file's bytes, or the message.
 fn read(path: &Path) -> Result<Vec<u8>, Exit> {
     std::fs::read(path).map_err(|error| complain(Exit::Failed, &format!("cannot read {}: {error}", path.display())))
+}
+
+/// Writes a file beside its place and renames it, so that a failure leaves no half of it; or says why not.
+fn write(path: &Path, bytes: &[u8]) -> Result<(), Exit> {
+    let mut beside = path.to_path_buf().into_os_string();
+    beside.push(format!(".{}.part", std::process::id()));
+    std::fs::write(&beside, bytes).and_then(|()| std::fs::rename(&beside, path)).map_err(|error| {
+        // What was written of it is of no use; that it cannot be removed changes nothing for the caller.
+        let _ = std::fs::remove_file(&beside);
+        complain(Exit::Failed, &format!("cannot write {}: {error}", path.display()))
+    })
 }
 
 impl From<BackendArg> for crate::Backend {

@@ -46,6 +46,39 @@ impl Progress {
     }
 }
 
+/// How far one long work is: a bar on a terminal, nothing elsewhere.
+pub(super) struct Bar(Option<ProgressBar>);
+
+impl Bar {
+    pub(super) fn new() -> Bar {
+        Bar(std::io::stderr().is_terminal().then(|| bar(ProgressBar::new(1000))))
+    }
+
+    /// `share` in `[0, 1]` is done; `label` says what is being done.
+    pub(super) fn at(&self, share: f64, label: &str) {
+        if let Some(bar) = &self.0 {
+            bar.set_position((share.clamp(0.0, 1.0) * 1000.0) as u64);
+            bar.set_message(label.to_owned());
+        }
+    }
+
+    /// Takes it away.
+    pub(super) fn finish(self) {
+        if let Some(bar) = self.0 {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+/// The look that all bars share.
+fn bar(bar: ProgressBar) -> ProgressBar {
+    if let Ok(style) = ProgressStyle::with_template("  {spinner} {bar:24} {elapsed:>4} {msg}") {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
+
 impl Observer for Progress {
     fn event(&self, event: &Event<'_>) {
         let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
@@ -55,12 +88,8 @@ impl Observer for Progress {
                     self.line(&format!("{label}: runs, {reason}"));
                 }
                 let bar = self.bars.as_ref().map(|bars| {
-                    let bar = bars.add(ProgressBar::new(1000));
-                    if let Ok(style) = ProgressStyle::with_template("  {spinner} {bar:24} {elapsed:>4} {msg}") {
-                        bar.set_style(style);
-                    }
+                    let bar = bar(bars.add(ProgressBar::new(1000)));
                     bar.set_message((*label).to_owned());
-                    bar.enable_steady_tick(Duration::from_millis(200));
                     bar
                 });
                 running.insert(*action, Running { name: (*label).to_owned(), bar });

@@ -206,6 +206,13 @@ pub(super) fn decode_views(views: &[Option<View>], buffers: &mut Vec<Bytes<'_>>,
         defects.invalid("bufferViews", format!("{sum} bytes after decompression, the limit is {limit}"));
         return;
     }
+    // Many views over the same bytes would cost a small file much: each byte may be decoded once.
+    let encoded = compressed().fold(0u64, |sum, (_, encoded)| sum.saturating_add(encoded.length));
+    let have = buffers.iter().fold(0u64, |sum, buffer| sum.saturating_add(buffer.len() as u64));
+    if encoded > have {
+        defects.invalid("bufferViews", format!("{encoded} compressed bytes in buffers of {have}: views overlap"));
+        return;
+    }
     for (i, encoded) in compressed() {
         let decoded = encoded.decode(buffers).unwrap_or_else(|| {
             defects.invalid(format!("bufferViews[{i}]"), "its compressed data is broken");

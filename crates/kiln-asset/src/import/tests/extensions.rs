@@ -208,6 +208,15 @@ fn what_is_wrong_with_a_compressed_view_is_named() {
 }
 
 #[test]
+fn many_views_over_the_same_compressed_bytes_are_refused() {
+    let mut document = meshopt_sheet(&sheet(), "EXT_meshopt_compression", 0).gltf();
+    let view = document["bufferViews"][0].clone();
+    let views = document["bufferViews"].as_array_mut().unwrap();
+    views.extend(std::iter::repeat_n(view, 1000));
+    assert_eq!(defect_paths(import_json(&document)), ["bufferViews"]);
+}
+
+#[test]
 fn broken_compressed_bytes_never_panic() {
     let whole = meshopt_sheet(&sheet(), "KHR_meshopt_compression", 1);
     let mut state = 7u32;

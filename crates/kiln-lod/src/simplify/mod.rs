@@ -14,7 +14,7 @@
 //!     collapse: faces at both ends vanish, wedges go to their partners, quadrics add; log it
 //!     price `to` and its neighbours again
 //! level     <- the shortest prefix of the log that meets the budget, replayed; free placement moves its points to where their
-//!              forms are least (place); then its distance to the source is measured
+//!              level lies nearest to its source (fit); then its distance to the source is measured
 //! ```
 //! No crack can open: submeshes share points, and a point of a seam or boundary goes with all its wedges at once, each to the
 //! wedge that its own faces have at the other end.
@@ -33,8 +33,8 @@
 
 mod collapse;
 mod error;
+mod fit;
 mod heap;
-mod place;
 mod quadric;
 pub mod rules;
 pub mod sequence;
@@ -170,7 +170,8 @@ pub fn levels(
     let source_triangles: u32 = mesh.submeshes.iter().map(|s| s.source_triangles).sum();
     let surface = error::Surface::new(source, options.samples);
     let forms = collapse::Forms::new(mesh, carried, &SimplifyOptions::default());
-    let mut cutter = Cutter { mesh, sequence, forms, placement: options.placement };
+    let samples = fit::Samples::new(mesh, &crate::topology::Topology::new(mesh));
+    let mut cutter = Cutter { mesh, sequence, forms, samples, placement: options.placement };
     let mut set = LodSet { levels: Vec::new(), layout: None, source_triangles };
     let mut report = SimplifyReport::default();
     let mut least = 0.0_f32;
@@ -183,10 +184,10 @@ pub fn levels(
             Budget::Triangles(faces) => cutter.by_faces(&surface, faces, finest),
             Budget::Error(error) => cutter.by_error(&surface, error, finest),
         };
-        let (level, origin) = cutter.replay(count);
-        let gaps = check::gaps(mesh, &level) as u32;
-        let level = cutter.placed(level, &origin);
-        let quadrics = cutter.forms.object_space(&origin);
+        let replayed = cutter.replay(count);
+        let gaps = check::gaps(mesh, &replayed.level) as u32;
+        let quadrics = cutter.forms.object_space(&replayed.origin);
+        let level = cutter.placed(replayed);
         finest = count;
         least = least.max(measured);
         let asked = match *budget {
@@ -230,7 +231,8 @@ pub fn cut(
     placement: Placement,
 ) -> Mesh {
     let forms = collapse::Forms::new(mesh, carried, &SimplifyOptions::default());
-    Cutter { mesh, sequence, forms, placement }.cut(sequence.reach(faces))
+    let samples = fit::Samples::new(mesh, &crate::topology::Topology::new(mesh));
+    Cutter { mesh, sequence, forms, samples, placement }.cut(sequence.reach(faces))
 }
 
 /// What levels are cut from.
@@ -238,29 +240,30 @@ struct Cutter<'a> {
     mesh: &'a Mesh,
     sequence: &'a CollapseSequence,
     forms: collapse::Forms,
+    samples: fit::Samples,
     placement: Placement,
 }
 
 impl Cutter<'_> {
-    /// What the first `count` collapses leave, and for each of its points the mesh's point that it is; the forms stand there then.
-    fn replay(&mut self, count: usize) -> (Mesh, Vec<u32>) {
+    /// What the first `count` collapses leave; the forms stand there then.
+    fn replay(&mut self, count: usize) -> sequence::Replayed {
         self.forms.go_to(self.sequence, count);
-        (self.sequence.replay_with_points(self.mesh, count))
+        (self.sequence.replay_with_heirs(self.mesh, count))
             .expect("invariant: a replay of the mesh's own sequence keeps its promises")
     }
 
     /// The level with its points where they shall stand; the forms must stand at its cut.
-    fn placed(&self, level: Mesh, origin: &[u32]) -> Mesh {
+    fn placed(&self, cut: sequence::Replayed) -> Mesh {
         if self.placement == Placement::HalfEdge {
-            return level;
+            return cut.level;
         }
-        let forms: Vec<_> = origin.iter().map(|p| self.forms.grown(*p)).collect();
-        place::place(&level, &forms, SimplifyOptions::default().turn_cosine)
+        let forms: Vec<_> = cut.origin.iter().map(|p| self.forms.grown(*p)).collect();
+        fit::fit(self.mesh, &self.samples, cut, &forms, SimplifyOptions::default().turn_cosine)
     }
 
     fn cut(&mut self, count: usize) -> Mesh {
-        let (level, origin) = self.replay(count);
-        self.placed(level, &origin)
+        let replayed = self.replay(count);
+        self.placed(replayed)
     }
 
     fn measure(&mut self, surface: &error::Surface<'_>, count: usize) -> f32 {

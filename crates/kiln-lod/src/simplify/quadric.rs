@@ -60,6 +60,11 @@ impl Quadric {
         (self.slope(d) + DVec3::new(self.x, self.y, self.z)).dot(d) + self.one
     }
 
+    /// Matrix (xx, xy, xz, yy, yz, zz) and minus half the gradient at `d`.
+    pub(crate) fn pull(&self, d: DVec3) -> ([f64; 6], DVec3) {
+        ([self.xx, self.xy, self.xz, self.yy, self.yz, self.zz], -self.slope(d))
+    }
+
     /// Where the form plus `pull` times the square distance from the origin is least; `None` where that is not told.
     pub(crate) fn least(&self, pull: f64) -> Option<DVec3> {
         let matrix = DMat3::from_cols(

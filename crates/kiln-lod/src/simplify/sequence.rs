@@ -50,6 +50,15 @@ pub struct CollapseSequence {
     pub(super) report: SequenceReport,
 }
 
+/// A cut.
+pub(super) struct Replayed {
+    pub(super) level: Mesh,
+    /// For each point of the level the mesh's point that it is.
+    pub(super) origin: Vec<u32>,
+    /// For each vertex of the mesh that of the level that it went to, or `u32::MAX` if its side of the point is gone.
+    pub(super) heirs: Vec<u32>,
+}
+
 impl CollapseSequence {
     pub(super) fn new(face_count: u32, vertex_count: u32) -> CollapseSequence {
         CollapseSequence { face_count, vertex_count, ..Default::default() }
@@ -87,13 +96,17 @@ impl CollapseSequence {
     /// # Errors
     /// The sequence belongs to another mesh.
     pub fn replay(&self, mesh: &Mesh, count: usize) -> Result<Mesh, MeshError> {
-        self.replay_with_points(mesh, count).map(|(level, _)| level)
+        self.replay_with_heirs(mesh, count).map(|replayed| replayed.level)
     }
 
-    /// As [`CollapseSequence::replay`], and for each point of the level `[point_count]` the mesh's point that it is.
-    pub(super) fn replay_with_points(&self, mesh: &Mesh, count: usize) -> Result<(Mesh, Vec<u32>), MeshError> {
+    /// As [`CollapseSequence::replay`], with what became of the mesh's points and vertices.
+    pub(super) fn replay_with_heirs(&self, mesh: &Mesh, count: usize) -> Result<Replayed, MeshError> {
         if count == 0 {
-            return Ok((mesh.clone(), (0..mesh.point_count() as u32).collect()));
+            return Ok(Replayed {
+                level: mesh.clone(),
+                origin: (0..mesh.point_count() as u32).collect(),
+                heirs: (0..mesh.vertex_count() as u32).collect(),
+            });
         }
         let pair_end = self.collapses.get(count).map_or(self.pairs.len(), |c| c.first_pair as usize);
         let face_end = self.collapses.get(count).map_or(self.faces.len(), |c| c.first_face as usize);
@@ -133,7 +146,8 @@ impl CollapseSequence {
         for (v, old) in keep.iter().enumerate() {
             origin[level.points[v].index()] = mesh.points[*old as usize].0;
         }
-        Ok((level, origin))
+        let heirs = stands.iter().map(|v| new_index[*v as usize]).collect();
+        Ok(Replayed { level, origin, heirs })
     }
 
     /// The sequence as bytes for the private cache.

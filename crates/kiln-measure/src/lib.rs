@@ -3,7 +3,8 @@
 //! Reading order: [`scene`] (what is drawn), [`camera`] (from where), [mod@render] (the software renderer over `kiln-geom`'s
 //! rasteriser); pictures against pictures: [mod@image_error] (squares and silhouettes), [mod@ssim] (structure), [mod@flip] (what
 //! an eye sees); surfaces against surfaces: [`distance`], [`border`]; [mod@compare] (all of it for two assets), [`heat`]
-//! (differences as colours with their scale), [mod@sheet] (pictures beside pictures, with captions). [`texture`] reads texels.
+//! (differences as colours with their scale), [mod@sheet] (pictures beside pictures, with captions); [`flat`] (the flat pictures
+//! alone, of many meshes against one reference). [`texture`] reads texels.
 //!
 //! No measure here is used by any metric that simplifies, so that figures judge and do not mirror. All results are the same
 //! on any thread count.
@@ -13,6 +14,7 @@ pub mod camera;
 pub mod compare;
 pub mod distance;
 mod filter;
+pub mod flat;
 pub mod flip;
 mod font;
 pub mod heat;
@@ -28,6 +30,7 @@ pub use border::Border;
 pub use camera::{Camera, Sphere, bounding_sphere};
 pub use compare::{CompareOptions, Comparison, compare, contact_sheet};
 pub use distance::{Distances, SurfaceReference, surface_distance};
+pub use flat::FlatReference;
 pub use flip::flip;
 pub use image_error::{ImageError, image_error};
 pub use pool::{PixelMeans, PixelSums};

@@ -62,6 +62,11 @@ impl<'a> Scene<'a> {
     }
 }
 
+/// `[vertex_count]`: the mesh's normals; area-weighted ones, joined over equal positions, where its source had none.
+pub fn shading_normals(mesh: &Mesh) -> Vec<Vec3> {
+    Shading::new(mesh).normals
+}
+
 /// The mesh's shading vectors with gaps filled.
 pub(crate) struct Shading {
     /// `[vertex_count]`: the mesh's normals, or area-weighted ones where the source had none.

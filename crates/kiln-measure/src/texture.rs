@@ -26,14 +26,7 @@ impl<'a> MipChain<'a> {
 
     /// Level `level` alone, or the smallest there is: the chain for reading everything at one level.
     pub fn only(picture: &'a Raster, level: u32) -> MipChain<'a> {
-        let mut own = Cow::Borrowed(picture);
-        for _ in 0..level {
-            if own.width.max(own.height) <= 1 {
-                break;
-            }
-            own = Cow::Owned(halved(&own));
-        }
-        MipChain { levels: vec![own] }
+        MipChain { levels: vec![mip(picture, level)] }
     }
 
     /// Width times height of the largest level, texels.
@@ -52,6 +45,18 @@ impl<'a> MipChain<'a> {
         let read = |level: f32| read(&self.levels[level as usize], sampler, filter, uv, &decode);
         if part == 0.0 { read(low) } else { read(low).lerp(read(low + 1.0), part) }
     }
+}
+
+/// Level `level` of a picture's mips (0: itself), or the smallest there is.
+pub fn mip(picture: &Raster, level: u32) -> Cow<'_, Raster> {
+    let mut own = Cow::Borrowed(picture);
+    for _ in 0..level {
+        if own.width.max(own.height) <= 1 {
+            break;
+        }
+        own = Cow::Owned(halved(&own));
+    }
+    own
 }
 
 /// Half the size by 2x2 means, rounded; an odd last row or column is dropped, a single one stays.

@@ -9,7 +9,8 @@
 //! line       slabs in f32, widened per line by 32 roundings of the largest coordinate in play, near child first;
 //!            triangle: shift, shear along the line's largest axis in f64, round to f32, edge functions exactly in f64;
 //!            hit if all three have one sign or are 0; t from the f64 depths
-//! nearest    near child first, pruned by a lower bound of the box distance; triangles in f64
+//! nearest    near child first, pruned by a lower bound of the box distance; triangles in f64; rows of queries start from the
+//!            last answer, and those for a maximum end at any triangle near enough
 //! box, prism descend where no separating axis is found
 //! ```
 //!
@@ -34,6 +35,8 @@ mod overlap;
 mod tests;
 
 use glam::Vec3;
+
+pub use nearest::Hint;
 
 /// A tree over the triangles of a mesh.
 #[derive(Clone, Debug, Default)]

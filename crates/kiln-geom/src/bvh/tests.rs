@@ -132,6 +132,21 @@ proptest! {
     }
 
     #[test]
+    fn a_hint_changes_no_answer((positions, triangles) in soup(), walk in prop::collection::vec(direction(), 1..20)) {
+        let bvh = Bvh::new(&positions, &triangles);
+        let (mut near, mut beyond) = (Hint::default(), Hint::default());
+        for p in walk {
+            let whole = bvh.nearest_point(p * 3.0);
+            prop_assert_eq!(bvh.nearest_point_from(p * 3.0, &mut near), whole);
+            let distance = whole.map(|n| n.distance);
+            for limit in [0.0, 0.5, distance.unwrap_or(1.0), 2.0, f32::INFINITY] {
+                let expected = distance.filter(|d| *d > limit);
+                prop_assert_eq!(bvh.distance_beyond(p * 3.0, limit, &mut beyond), expected);
+            }
+        }
+    }
+
+    #[test]
     fn boxes_that_meet_are_all_found((positions, triangles) in soup(), a in direction(), b in direction()) {
         let (lo, hi) = (a.min(b) * 3.0, a.max(b) * 3.0);
         let mut found = Vec::new();
@@ -249,6 +264,8 @@ fn corners_that_are_no_numbers_are_left_out_and_no_triangle_is_no_answer() {
     let empty = Bvh::new(&[], &[]);
     assert_eq!(empty.closest_hit(Vec3::ZERO, Vec3::X, 0.0, 1.0), None);
     assert_eq!(empty.nearest_point(Vec3::ZERO), None);
+    assert_eq!(empty.nearest_point_from(Vec3::ZERO, &mut Hint::default()), None);
+    assert_eq!(empty.distance_beyond(Vec3::ZERO, 0.0, &mut Hint::default()), None);
     assert_eq!(empty.bounds(), None);
     let positions = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::NAN, Vec3::INFINITY];
     let bvh = Bvh::new(&positions, &[[0, 1, 3], [0, 1, 2], [4, 1, 2]]);
@@ -258,6 +275,8 @@ fn corners_that_are_no_numbers_are_left_out_and_no_triangle_is_no_answer() {
         assert_eq!(bvh.closest_hit(Vec3::Z, bad, 0.0, 1.0), None);
     }
     assert_eq!(bvh.nearest_point(Vec3::NAN), None);
+    assert_eq!(bvh.nearest_point_from(Vec3::NAN, &mut Hint::default()), None);
+    assert_eq!(bvh.distance_beyond(Vec3::NAN, 0.0, &mut Hint::default()), None);
 }
 
 #[test]

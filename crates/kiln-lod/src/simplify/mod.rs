@@ -32,7 +32,7 @@
 //! et al., "Topology preserving edge contraction", Publ. Inst. Math. 1999.
 
 mod collapse;
-mod error;
+pub mod error;
 mod fit;
 mod heap;
 mod quadric;

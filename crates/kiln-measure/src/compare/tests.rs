@@ -179,6 +179,22 @@ fn another_atlas_is_read_at_the_fineness_of_the_references() {
 }
 
 #[test]
+fn the_flat_reference_has_the_figures_of_the_whole_comparison() {
+    let (whole, less) = (cuboid(Vec3::ZERO, Vec3::ONE), cuboid(Vec3::ZERO, Vec3::new(1.0, 0.8, 0.9)));
+    let set = textured();
+    let texels = (0..256u32 * 256).map(|i| [(i % 251) as u8, (i / 997) as u8, (i % 13 * 19) as u8, 255]).collect();
+    let images = [Raster { width: 256, height: 256, texels }];
+    let scene = |mesh| Scene { mesh, materials: &set, images: &images };
+    let reference = crate::FlatReference::new(&scene(&whole), &QUICK);
+    for other in [&whole, &less] {
+        let flat = compare(&scene(&whole), &scene(other), &QUICK, &|_, _| {}).expect("surfaces").flat;
+        let alone = reference.compare(other).expect("one size");
+        assert_eq!((alone.rmse, alone.rmse_object, alone.per_view), (flat.rmse, flat.rmse_object, flat.per_view));
+    }
+    assert!(reference.compare(&less).expect("one size").rmse_object > 1.0);
+}
+
+#[test]
 fn an_asset_without_a_surface_is_refused_by_its_side() {
     let (mesh, none) = (cuboid(Vec3::ZERO, Vec3::ONE), Mesh::new(RawMesh::default()).expect("valid"));
     let paint = painted(1.0);

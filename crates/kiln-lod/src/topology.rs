@@ -7,6 +7,7 @@
 //! Everything is found in one pass over the star of each point with one scratch array over points: linear time, no hashing.
 
 use kiln_asset::{Mesh, PointId};
+use rayon::prelude::*;
 
 /// No corner, no point.
 pub const NONE: u32 = u32::MAX;
@@ -93,6 +94,18 @@ struct Spoke {
     in_corner: u32,
 }
 
+/// Points that one thread judges at a time.
+const BLOCK: usize = 4096;
+
+/// What is said of a block of points.
+#[derive(Default)]
+struct Block {
+    kinds: Vec<PointKind>,
+    lines: Vec<[u32; 2]>,
+    /// (corner of the half-edge, kind, twin).
+    edges: Vec<(u32, EdgeKind, u32)>,
+}
+
 impl Topology {
     /// The topology of `mesh`.
     pub fn new(mesh: &Mesh) -> Topology {
@@ -109,13 +122,33 @@ impl Topology {
             kinds: vec![PointKind::Locked; point_count],
             lines: vec![[NONE; 2]; point_count],
         };
-        let mut spokes: Vec<Spoke> = Vec::new();
-        let mut spoke_of = vec![NONE; point_count];
-        for p in 0..point_count as u32 {
-            topology.gather_spokes(p, &mut spokes, &mut spoke_of);
-            topology.judge(mesh, p, &spokes, &spoke_of);
-            for spoke in &spokes {
-                spoke_of[spoke.point as usize] = NONE;
+        // Points are judged by themselves, in blocks; what they say is written afterwards, in order.
+        let blocks: Vec<Block> = (0..point_count.div_ceil(BLOCK))
+            .into_par_iter()
+            .map_init(
+                || (Vec::new(), vec![NONE; point_count]),
+                |(spokes, spoke_of), block| {
+                    let points = block * BLOCK..((block + 1) * BLOCK).min(point_count);
+                    let mut said = Block::default();
+                    for p in points {
+                        topology.gather_spokes(p as u32, spokes, spoke_of);
+                        topology.judge(mesh, p as u32, spokes, spoke_of, &mut said);
+                        for spoke in &*spokes {
+                            spoke_of[spoke.point as usize] = NONE;
+                        }
+                    }
+                    said
+                },
+            )
+            .collect();
+        for (block, said) in blocks.iter().enumerate() {
+            let start = block * BLOCK;
+            topology.kinds[start..start + said.kinds.len()].copy_from_slice(&said.kinds);
+            topology.lines[start..start + said.lines.len()].copy_from_slice(&said.lines);
+            for (corner, kind, twin) in &said.edges {
+                let (f, k) = (*corner as usize / 3, *corner as usize % 3);
+                topology.edge_kinds[f][k] = *kind;
+                topology.twin[f][k] = *twin;
             }
         }
         // Both points of a degenerate face stay where they are.
@@ -165,8 +198,8 @@ impl Topology {
         }
     }
 
-    /// Sets twins and edge kinds of the half-edges that leave `p`, and the kind and line of `p`.
-    fn judge(&mut self, mesh: &Mesh, p: u32, spokes: &[Spoke], spoke_of: &[u32]) {
+    /// Twins and edge kinds of the half-edges that leave `p`, and the kind and line of `p`.
+    fn judge(&self, mesh: &Mesh, p: u32, spokes: &[Spoke], spoke_of: &[u32], said: &mut Block) {
         let mut counts = [0u32; 5];
         let mut line = [[NONE; 2]; 5];
         for spoke in spokes {
@@ -177,21 +210,17 @@ impl Topology {
             }
             *seen += 1;
             if spoke.out_count == 1 {
-                let (face, k) = (spoke.out_corner as usize / 3, spoke.out_corner as usize % 3);
-                self.edge_kinds[face][k] = kind;
-                if kind < EdgeKind::Border {
-                    self.twin[face][k] = spoke.in_corner;
-                }
+                said.edges.push((spoke.out_corner, kind, if kind < EdgeKind::Border { spoke.in_corner } else { NONE }));
             }
         }
         if counts[EdgeKind::Complex as usize] > 0 {
             // Half-edges of crowded edges are not named by their spokes one by one.
             for i in self.first[p as usize]..self.first[p as usize + 1] {
-                let corner = self.corners[i as usize] as usize;
-                let to = self.face_points[corner / 3][(corner % 3 + 1) % 3];
+                let corner = self.corners[i as usize];
+                let to = self.face_points[corner as usize / 3][next(corner) as usize % 3];
                 let spoke = &spokes[spoke_of[to as usize] as usize];
                 if spoke.out_count > 1 {
-                    self.edge_kinds[corner / 3][corner % 3] = EdgeKind::Complex;
+                    said.edges.push((corner, EdgeKind::Complex, NONE));
                 }
             }
         }
@@ -206,11 +235,11 @@ impl Topology {
             (0, 2, 0, 0) => (PointKind::Boundary, Some(EdgeKind::Boundary)),
             _ => (PointKind::Locked, None),
         };
-        self.kinds[p as usize] = kind;
-        if let Some(along) = along {
+        said.kinds.push(kind);
+        said.lines.push(along.map_or([NONE; 2], |along| {
             let [a, b] = line[along as usize];
-            self.lines[p as usize] = [a.min(b), a.max(b)];
-        }
+            [a.min(b), a.max(b)]
+        }));
     }
 
     /// Whether the faces at `p`, which has no complex edge, hang together through shared edges.
@@ -280,6 +309,8 @@ fn edge_kind(mesh: &Mesh, spoke: &Spoke) -> EdgeKind {
             let (out, into) = (spoke.out_corner, spoke.in_corner);
             if mesh.face_submesh[out as usize / 3] != mesh.face_submesh[into as usize / 3] {
                 EdgeKind::Boundary
+            } else if wedge(out) == wedge(next(into)) && wedge(next(out)) == wedge(into) {
+                EdgeKind::Manifold
             } else if !same_chart(mesh, wedge(out), wedge(next(into)))
                 || !same_chart(mesh, wedge(next(out)), wedge(into))
             {

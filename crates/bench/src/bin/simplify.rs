@@ -18,7 +18,7 @@ use kiln_bench::peer::{Call, Input, Output, Setting};
 use kiln_bench::rows::{Page, stamp};
 use kiln_bench::{middle, model, name, positions_only, timed};
 use kiln_lod::merge::{MergeOptions, merge};
-use kiln_lod::simplify::{Placement, SimplifyOptions, collapse, cut};
+use kiln_lod::simplify::{Placement, SimplifyOptions, collapse};
 use kiln_measure::{Border, SurfaceReference};
 use rayon::ThreadPool;
 
@@ -36,9 +36,7 @@ const TOOLS: &[(&str, fn(&Mesh, u32) -> Mesh)] = &[
 ];
 
 fn quadric(mesh: &Mesh, budget: u32, placement: Placement) -> Mesh {
-    let floor = f64::from(budget) / mesh.face_count().max(1) as f64;
-    let sequence = collapse(mesh, &[], None, &SimplifyOptions { floor, ..SimplifyOptions::default() });
-    cut(mesh, &[], &sequence, budget, placement)
+    kiln_lod::simplify::simplify(mesh, budget, placement, &SimplifyOptions::default())
 }
 
 struct Arguments {

@@ -41,7 +41,7 @@ use kiln_asset::{Mesh, RawMesh};
 use kiln_geom::triangle::closest_point;
 use rayon::prelude::*;
 
-use super::quadric::Quadric;
+use super::metric::quadric::Quadric;
 use super::sequence::Replayed;
 use crate::topology::{EdgeKind, NONE, PointKind, Topology};
 
@@ -275,6 +275,10 @@ impl Fit<'_> {
 
     /// Fits all attributes at the points that moved, or could have.
     fn attributes(&self, raw: &mut RawMesh, forms: &[Option<Quadric>]) {
+        let uvs = raw.uv0.is_some() || raw.uv1.is_some() || raw.atlas_uv.is_some();
+        if !uvs && raw.normals.is_none() && raw.colors.is_none() {
+            return;
+        }
         let (first, corners) = corners_of_vertices(raw);
         let mut at = vec![DVec3::ZERO; forms.len()];
         for (v, p) in self.point_of.iter().enumerate().rev() {

@@ -4,10 +4,10 @@
 /// Least first. Holds entries that are out of date, too: whoever pops one asks the point whether it still stands by that cost.
 pub(super) struct Heap(Vec<u64>);
 
-/// A cost as 32 bits that are ordered as costs are; below 0 counts as 0. Costs are rounded to f32: equal ones are ordered by point.
+/// A cost as 32 bits that are ordered as costs are; below 0 counts as 0. Equal ones are ordered by point.
 #[inline]
-pub(super) fn rank(cost: f64) -> u32 {
-    (cost.max(0.0) as f32).to_bits()
+pub(super) fn rank(cost: f32) -> u32 {
+    cost.max(0.0).to_bits()
 }
 
 /// Where `point` stands in the order with a cost of that rank.
@@ -19,6 +19,13 @@ pub(super) fn entry(rank: u32, point: u32) -> u64 {
 impl Heap {
     pub(super) fn new() -> Heap {
         Heap(Vec::new())
+    }
+
+    /// A queue of these entries.
+    pub(super) fn of(mut entries: Vec<u64>) -> Heap {
+        // A sorted array is a heap.
+        entries.sort_unstable();
+        Heap(entries)
     }
 
     /// The least entry; greater than all others if there is none.

@@ -35,10 +35,11 @@ mod collapse;
 pub mod error;
 mod fit;
 mod heap;
-mod quadric;
+mod metric;
 pub mod rules;
 pub mod sequence;
 mod uv_border;
+mod working;
 
 use kiln_asset::{Level, LodSet, Mesh, QuadricCoefficients, UvLayout};
 use serde::{Deserialize, Serialize};
@@ -47,7 +48,10 @@ pub use error::surface_error;
 pub use sequence::{Collapse, CollapseSequence, SequenceReport};
 
 use crate::check;
+use crate::topology::Topology;
+use metric::quadric::{Forms, QuadricMetric};
 use rules::Rule;
+use working::Working;
 
 /// How to collapse. All are unitless.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,6 +66,8 @@ pub struct SimplifyOptions {
     /// Share of the square edge length in the cost: orders places without error (flat, straight) by length, and is far below
     /// any error that shows.
     pub length_weight: f64,
+    /// Whether texture coordinates, normals and colours have a price.
+    pub attributes: bool,
     /// Cosine of the most that a face may turn.
     pub turn_cosine: f64,
     /// Least `2 area / longest edge squared` of a face that is made thinner.
@@ -75,6 +81,7 @@ impl Default for SimplifyOptions {
             border_weight: 10.0,
             line_weight: 1.0,
             length_weight: 1e-6,
+            attributes: true,
             turn_cosine: 0.25,
             sliver: 0.02,
         }
@@ -151,7 +158,32 @@ pub fn collapse(
     layout: Option<&UvLayout>,
     options: &SimplifyOptions,
 ) -> CollapseSequence {
-    collapse::Collapser::new(mesh, carried, layout, options).run()
+    let topology = Topology::new(mesh);
+    let forms = Forms::new(mesh, &topology, carried, options);
+    collapse_prepared(mesh, &topology, &forms, layout, options)
+}
+
+fn collapse_prepared(
+    mesh: &Mesh,
+    topology: &Topology,
+    forms: &Forms,
+    layout: Option<&UvLayout>,
+    options: &SimplifyOptions,
+) -> CollapseSequence {
+    let mut work = Working::new(mesh, topology, forms.positions(), layout, options);
+    let metric = QuadricMetric::new(mesh, forms.initial().to_vec(), &mut work, options);
+    collapse::Collapser::new(mesh, work, metric, options).run()
+}
+
+/// One level of `mesh` with at most `faces` triangles, if that is in reach, and unmeasured, where no other level is wanted: the
+/// sequence goes no farther than that.
+pub fn simplify(mesh: &Mesh, faces: u32, placement: Placement, options: &SimplifyOptions) -> Mesh {
+    let topology = Topology::new(mesh);
+    let forms = Forms::new(mesh, &topology, &[], options);
+    let floor = f64::from(faces) / mesh.face_count().max(1) as f64;
+    let sequence = collapse_prepared(mesh, &topology, &forms, None, &SimplifyOptions { floor, ..*options });
+    let samples = fit::Samples::new(mesh, &topology);
+    Cutter { mesh, sequence: &sequence, forms, samples, placement }.cut(sequence.reach(faces))
 }
 
 /// The levels of `budgets` (finest first) out of `sequence`, measured against `source`. `mesh` and `carried` are those that the
@@ -169,8 +201,9 @@ pub fn levels(
 ) -> (LodSet, SimplifyReport) {
     let source_triangles: u32 = mesh.submeshes.iter().map(|s| s.source_triangles).sum();
     let surface = error::Surface::new(source, options.samples);
-    let forms = collapse::Forms::new(mesh, carried, &SimplifyOptions::default());
-    let samples = fit::Samples::new(mesh, &crate::topology::Topology::new(mesh));
+    let topology = Topology::new(mesh);
+    let forms = Forms::new(mesh, &topology, carried, &SimplifyOptions::default());
+    let samples = fit::Samples::new(mesh, &topology);
     let mut cutter = Cutter { mesh, sequence, forms, samples, placement: options.placement };
     let mut set = LodSet { levels: Vec::new(), layout: None, source_triangles };
     let mut report = SimplifyReport::default();
@@ -230,8 +263,9 @@ pub fn cut(
     faces: u32,
     placement: Placement,
 ) -> Mesh {
-    let forms = collapse::Forms::new(mesh, carried, &SimplifyOptions::default());
-    let samples = fit::Samples::new(mesh, &crate::topology::Topology::new(mesh));
+    let topology = Topology::new(mesh);
+    let forms = Forms::new(mesh, &topology, carried, &SimplifyOptions::default());
+    let samples = fit::Samples::new(mesh, &topology);
     Cutter { mesh, sequence, forms, samples, placement }.cut(sequence.reach(faces))
 }
 
@@ -239,7 +273,7 @@ pub fn cut(
 struct Cutter<'a> {
     mesh: &'a Mesh,
     sequence: &'a CollapseSequence,
-    forms: collapse::Forms,
+    forms: Forms,
     samples: fit::Samples,
     placement: Placement,
 }

@@ -1,0 +1,37 @@
+//! Metrics: what a collapse costs, and where it puts the point that stays.
+//!
+//! A metric is one file that implements [`Metric`]; the loop ([`super::collapse`]) knows no more of it. Costs are square lengths
+//! times areas by the diagonal to the fourth: unitless, and comparable along a sequence.
+//!
+//! | file | cost |
+//! | --- | --- |
+//! | `quadric` | area-weighted square distance to planes (Garland and Heckbert), with `attributes`: how far texture, shading and colours slide (Hoppe) |
+
+pub(super) mod attributes;
+pub(super) mod quadric;
+
+use super::working::Working;
+
+/// What prices collapses.
+pub(super) trait Metric {
+    /// Whether a cost may fall while a sequence goes on. If not, a cost is a lower bound for ever, and the loop prices only what
+    /// comes to the front of its queue.
+    const FALLS: bool;
+
+    /// What taking `from` to `to` costs: unitless, 0 or more. `corner`, if the caller
+    /// has one, lies at `from`, and its face holds `to`, too; else it is [`NONE`](crate::topology::NONE).
+    fn cost(&self, work: &Working<'_>, from: u32, to: u32, corner: u32) -> f32;
+
+    /// The costs of taking `from`, which lies inside a patch, to the points that follow it in the faces at its corners; `out` takes
+    /// (cost, point) each.
+    fn costs(&self, work: &Working<'_>, from: u32, mut out: impl FnMut(f32, u32)) {
+        for corner in work.corners(from) {
+            let to = work.others(*corner)[0];
+            out(self.cost(work, from, to, *corner), to);
+        }
+    }
+
+    /// `from` falls to `to`; called before the faces change, with the pairs of wedges in [`Working::map`]. The length, in object
+    /// units, that `to` is off its source by from now on, as the metric sees it.
+    fn merge(&mut self, work: &mut Working<'_>, from: u32, to: u32) -> f64;
+}

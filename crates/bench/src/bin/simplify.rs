@@ -29,8 +29,11 @@ const SHARES: [f64; 4] = [0.5, 0.25, 0.1, 0.01];
 /// The peer whose speed all others are set against.
 const PEER: Setting = Setting { call: Call::WithUpdate, uv: 0.0, normal: 0.0 };
 
+/// A way to simplify a mesh to a number of triangles.
+type Tool = (&'static str, fn(&Mesh, u32) -> Mesh);
+
 /// kiln's ways; another metric is another line.
-const TOOLS: &[(&str, fn(&Mesh, u32) -> Mesh)] = &[
+const TOOLS: &[Tool] = &[
     ("quadric, half-edge", |mesh, budget| quadric(mesh, budget, Placement::HalfEdge)),
     ("quadric, free", |mesh, budget| quadric(mesh, budget, Placement::Free)),
 ];
@@ -120,7 +123,7 @@ fn pool(threads: usize) -> Result<ThreadPool, String> {
 /// What a tool left of its last run.
 enum Left {
     Nothing,
-    Level(Mesh),
+    Level(Box<Mesh>),
     Buffers(Output),
 }
 
@@ -161,7 +164,7 @@ fn compare(
             for pool in pools {
                 rows.push(Row::new(format!("kiln {tool}"), pool.current_num_threads(), None, move || {
                     let (level, seconds) = timed(|| pool.install(|| run(mesh, budget)));
-                    Ok((Left::Level(level), seconds))
+                    Ok((Left::Level(Box::new(level)), seconds))
                 }));
             }
         }
@@ -217,7 +220,7 @@ impl<'a> Row<'a> {
 
     fn level(&self) -> Result<Mesh, String> {
         match (&self.left, self.input) {
-            (Left::Level(level), _) => Ok(level.clone()),
+            (Left::Level(level), _) => Ok((**level).clone()),
             (Left::Buffers(output), Some(input)) => input.level(output),
             _ => Err("a tool gave no level".into()),
         }

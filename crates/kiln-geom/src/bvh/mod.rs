@@ -36,7 +36,7 @@ mod tests;
 
 use glam::Vec3;
 
-pub use nearest::Hint;
+pub use nearest::{Hint, Nearby};
 
 /// A tree over the triangles of a mesh.
 #[derive(Clone, Debug, Default)]

@@ -141,8 +141,37 @@ proptest! {
             let distance = whole.map(|n| n.distance);
             for limit in [0.0, 0.5, distance.unwrap_or(1.0), 2.0, f32::INFINITY] {
                 let expected = distance.filter(|d| *d > limit);
-                prop_assert_eq!(bvh.distance_beyond(p * 3.0, limit, &mut beyond), expected);
+                // At the distance itself its rounding decides.
+                if distance != Some(limit) {
+                    let within = distance.is_some_and(|d| d < limit);
+                    prop_assert_eq!(bvh.is_within(p * 3.0, limit, &mut beyond), within);
+                }
+                for centre in [p * 3.0, Vec3::splat(9.0)] {
+                    let mut nearby = Nearby::default();
+                    bvh.gather(centre - 0.5, centre + 0.5, limit, &mut nearby);
+                    prop_assert_eq!(bvh.distance_beyond(p * 3.0, limit, &mut nearby, &mut beyond), expected);
+                }
             }
+        }
+    }
+
+    #[test]
+    fn all_that_is_near_a_box_is_gathered(
+        (positions, triangles) in soup(), a in direction(), b in direction(), limit in 0.0f32..1.0,
+    ) {
+        let bvh = Bvh::new(&positions, &triangles);
+        let (lo, hi) = (a.min(b), a.max(b));
+        let mut nearby = Nearby::default();
+        bvh.gather(lo, hi, limit, &mut nearby);
+        let gathered = bvh.gathered(&nearby);
+        for corner in [lo, hi, 0.5 * (lo + hi), Vec3::new(lo.x, hi.y, lo.z)] {
+            let Some(near) = bvh.nearest_point_within(corner, limit) else { continue };
+            let least = gathered
+                .iter()
+                .map(|f| triangles[*f as usize].map(|v| positions[v as usize].as_dvec3()))
+                .map(|[a, b, c]| closest_point(corner.as_dvec3(), a, b, c).distance_squared.sqrt() as f32)
+                .fold(f32::INFINITY, f32::min);
+            prop_assert!(least == near.distance, "{least} of those gathered, {} of all", near.distance);
         }
     }
 
@@ -265,7 +294,8 @@ fn corners_that_are_no_numbers_are_left_out_and_no_triangle_is_no_answer() {
     assert_eq!(empty.closest_hit(Vec3::ZERO, Vec3::X, 0.0, 1.0), None);
     assert_eq!(empty.nearest_point(Vec3::ZERO), None);
     assert_eq!(empty.nearest_point_from(Vec3::ZERO, &mut Hint::default()), None);
-    assert_eq!(empty.distance_beyond(Vec3::ZERO, 0.0, &mut Hint::default()), None);
+    assert!(!empty.is_within(Vec3::ZERO, 9.0, &mut Hint::default()));
+    assert_eq!(empty.distance_beyond(Vec3::ZERO, 0.0, &mut Nearby::default(), &mut Hint::default()), None);
     assert_eq!(empty.bounds(), None);
     let positions = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::NAN, Vec3::INFINITY];
     let bvh = Bvh::new(&positions, &[[0, 1, 3], [0, 1, 2], [4, 1, 2]]);
@@ -276,7 +306,8 @@ fn corners_that_are_no_numbers_are_left_out_and_no_triangle_is_no_answer() {
     }
     assert_eq!(bvh.nearest_point(Vec3::NAN), None);
     assert_eq!(bvh.nearest_point_from(Vec3::NAN, &mut Hint::default()), None);
-    assert_eq!(bvh.distance_beyond(Vec3::NAN, 0.0, &mut Hint::default()), None);
+    assert!(!bvh.is_within(Vec3::NAN, 9.0, &mut Hint::default()));
+    assert_eq!(bvh.distance_beyond(Vec3::NAN, 0.0, &mut Nearby::default(), &mut Hint::default()), None);
 }
 
 #[test]

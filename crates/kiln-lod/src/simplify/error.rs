@@ -3,10 +3,14 @@
 //! The error is the greatest distance of a sample to the other surface. Nearly all samples lie much closer than that, so they
 //! need no nearest point, only the proof that something is near enough:
 //! ```text
+//! sort the samples of each side by that side's tree: neighbours in the row are neighbours in space
 //! most <- 0
 //! every 61st sample, then all of them, in chunks on all threads:
-//!     if any triangle is at most `most` away (the last answer's is tried first): done with it
-//!     else: most <- the sample's distance
+//!     the chunk's box is small beside `most`, and a triangle lies within `most` less its radius of its centre: done with it
+//!     the chunk is larger than 16: its two halves
+//!     nearby <- the subtrees of the other side that hold all within `most` of the chunk's box
+//!     for each sample: if the last answer or a triangle of `nearby` is at most `most` away: done with it
+//!                      else: most <- the sample's distance, by the whole tree, if it is greater
 //! ```
 //! A sample is dropped only below a distance that another sample has, so the maximum is that of all distances, the same bits
 //! in any order and on any thread count.
@@ -16,13 +20,15 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use glam::Vec3;
 use kiln_asset::Mesh;
 use kiln_geom::sample::SurfaceSamples;
-use kiln_geom::{Bvh, Hint};
+use kiln_geom::{Bvh, Hint, Nearby};
 use rayon::prelude::*;
 
 /// The first round's step: enough samples to find a bound that few others exceed.
 const STEP: usize = 61;
-/// Samples that share a hint.
-const CHUNK: usize = 1024;
+/// Samples that one triangle may prove near enough at once.
+const CHUNK: usize = 64;
+/// Samples that share a list of subtrees.
+const FEW: usize = 32;
 
 /// The source, ready to be measured against.
 pub struct Surface<'a> {
@@ -35,7 +41,8 @@ pub struct Surface<'a> {
 impl<'a> Surface<'a> {
     /// `limit`: most sample points a side.
     pub fn new(mesh: &'a Mesh, limit: u32) -> Surface<'a> {
-        Surface { mesh, bvh: Bvh::new(&mesh.positions, &mesh.triangles), samples: sample_points(mesh, limit), limit }
+        let bvh = Bvh::new(&mesh.positions, &mesh.triangles);
+        Surface { mesh, samples: sorted(mesh, &bvh, limit), bvh, limit }
     }
 
     /// The larger of the two one-sided greatest distances, object units.
@@ -46,8 +53,8 @@ impl<'a> Surface<'a> {
         if level.face_count() == 0 || self.samples.is_empty() {
             return if level.face_count() == 0 && self.samples.is_empty() { 0.0 } else { f32::INFINITY };
         }
-        let (other, samples) =
-            rayon::join(|| Bvh::new(&level.positions, &level.triangles), || sample_points(level, self.limit));
+        let other = Bvh::new(&level.positions, &level.triangles);
+        let samples = sorted(level, &other, self.limit);
         // What one side has reached, the other need not look into.
         let most = AtomicU32::new(0);
         raise(&most, &samples, &self.bvh);
@@ -64,34 +71,92 @@ pub fn surface_error(source: &Mesh, level: &Mesh, limit: u32) -> f32 {
 /// The mesh's used vertices (every n-th, if they are too many for half the limit) and as many points by area as the limit leaves,
 /// but no more than four a face.
 pub fn sample_points(mesh: &Mesh, limit: u32) -> Vec<Vec3> {
+    samples(mesh, limit).into_iter().map(|(_, point)| point).collect()
+}
+
+/// [`sample_points`], each with a face that it lies on.
+fn samples(mesh: &Mesh, limit: u32) -> Vec<(u32, Vec3)> {
     let limit = limit.max(2) as usize;
-    let mut used = vec![false; mesh.vertex_count()];
-    for v in mesh.triangles.iter().flatten() {
-        used[*v as usize] = true;
+    let mut face_of = vec![u32::MAX; mesh.vertex_count()];
+    for (f, triangle) in mesh.triangles.iter().enumerate() {
+        triangle.iter().for_each(|v| face_of[*v as usize] = f as u32);
     }
-    let corners: Vec<Vec3> = mesh.positions.iter().zip(&used).filter(|(_, used)| **used).map(|(p, _)| *p).collect();
-    let step = corners.len().div_ceil(limit / 2).max(1);
-    let mut points: Vec<Vec3> = corners.iter().step_by(step).copied().collect();
+    let used = face_of.iter().filter(|f| **f != u32::MAX).count();
+    let step = used.div_ceil(limit / 2).max(1);
+    let corners = face_of.iter().zip(&mesh.positions).filter(|(f, _)| **f != u32::MAX).step_by(step);
+    let mut points: Vec<(u32, Vec3)> = corners.map(|(f, p)| (*f, *p)).collect();
     let spread = (limit - points.len().min(limit)).min(4 * mesh.face_count());
-    let samples = SurfaceSamples::new(&mesh.positions, &mesh.triangles, spread, 1);
-    points.extend(samples.samples.iter().map(|s| s.position));
+    let spread = SurfaceSamples::new(&mesh.positions, &mesh.triangles, spread, 1);
+    points.extend(spread.samples.iter().map(|s| (s.face, s.position)));
+    points
+}
+
+/// [`sample_points`] in the order of the mesh's own tree.
+fn sorted(mesh: &Mesh, own: &Bvh, limit: u32) -> Vec<Vec3> {
+    // By counting: where each face's samples start.
+    let mut rank = vec![0; mesh.face_count()];
+    own.order().iter().enumerate().for_each(|(i, f)| rank[*f as usize] = i);
+    let samples = samples(mesh, limit);
+    let mut start = vec![0u32; mesh.face_count() + 1];
+    samples.iter().for_each(|(f, _)| start[rank[*f as usize] + 1] += 1);
+    for i in 1..start.len() {
+        start[i] += start[i - 1];
+    }
+    let mut points = vec![Vec3::ZERO; samples.len()];
+    for (f, point) in samples {
+        let slot = &mut start[rank[f as usize]];
+        points[*slot as usize] = point;
+        *slot += 1;
+    }
     points
 }
 
 /// Raises `most` (the bits of a distance, object units) to the greatest distance of a point to the surface, if that is greater.
 fn raise(most: &AtomicU32, points: &[Vec3], surface: &Bvh) {
-    let look = |point: &Vec3, hint: &mut Hint| {
-        if let Some(distance) = surface.distance_beyond(*point, f32::from_bits(most.load(Ordering::Relaxed)), hint) {
-            // Bits of positive floats order as the floats do.
-            most.fetch_max(distance.to_bits(), Ordering::Relaxed);
-        }
-    };
     let thinned: Vec<Vec3> = points.iter().step_by(STEP).copied().collect();
     for round in [&thinned[..], points] {
-        round.par_chunks(CHUNK).for_each(|chunk| {
-            let mut hint = Hint::default();
-            chunk.iter().for_each(|point| look(point, &mut hint));
+        round.par_chunks(16 * CHUNK).for_each(|chunks| {
+            let mut search = Search { most, surface, hint: Hint::default(), nearby: Nearby::default() };
+            chunks.chunks(CHUNK).for_each(|chunk| search.settle(chunk));
         });
+    }
+}
+
+/// One thread's part of [`raise`].
+struct Search<'a> {
+    most: &'a AtomicU32,
+    surface: &'a Bvh,
+    hint: Hint,
+    nearby: Nearby,
+}
+
+impl Search<'_> {
+    fn settle(&mut self, points: &[Vec3]) {
+        let most = f32::from_bits(self.most.load(Ordering::Relaxed));
+        let [first, rest @ ..] = points else { return };
+        let (lo, hi) = rest.iter().fold((*first, *first), |(lo, hi), p| (lo.min(*p), hi.max(*p)));
+        let centre = 0.5 * (lo + hi);
+        // From the centre as it was rounded to the box's farthest corner; a millionth more for the roundings to come.
+        let radius = (1.0 + 1e-6) * (hi - centre).max(centre - lo).length();
+        if 2.0 * radius <= most && self.surface.is_within(centre, most - radius, &mut self.hint) {
+            return;
+        }
+        if points.len() > FEW {
+            let (front, back) = points.split_at(points.len() / 2);
+            self.settle(front);
+            self.settle(back);
+            return;
+        }
+        self.surface.gather(lo, hi, most, &mut self.nearby);
+        points.iter().for_each(|point| self.measure(*point));
+    }
+
+    fn measure(&mut self, point: Vec3) {
+        let most = f32::from_bits(self.most.load(Ordering::Relaxed));
+        if let Some(distance) = self.surface.distance_beyond(point, most, &mut self.nearby, &mut self.hint) {
+            // Bits of positive floats order as the floats do.
+            self.most.fetch_max(distance.to_bits(), Ordering::Relaxed);
+        }
     }
 }
 

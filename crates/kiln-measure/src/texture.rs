@@ -76,22 +76,22 @@ fn halved(from: &Raster) -> Raster {
     Raster { width, height, texels }
 }
 
+#[inline]
 fn read(level: &Raster, sampler: &Sampler, filter: Filter, uv: Vec2, decode: &impl Fn([u8; 4]) -> Vec4) -> Vec4 {
     if level.texels.is_empty() {
         return decode([255; 4]);
     }
     let (x, y) = (uv.x * level.width as f32, uv.y * level.height as f32);
-    let texel = |i: i64, j: i64| {
-        let (i, j) = (wrapped(i, level.width, sampler.wrap_u), wrapped(j, level.height, sampler.wrap_v));
-        decode(level.texels[j * level.width as usize + i])
-    };
+    let (column, row) = (|i| wrapped(i, level.width, sampler.wrap_u), |j| wrapped(j, level.height, sampler.wrap_v));
+    let texel = |i: usize, j: usize| decode(level.texels[j * level.width as usize + i]);
     match filter {
-        Filter::Nearest => texel(x.floor() as i64, y.floor() as i64),
+        Filter::Nearest => texel(column(x.floor() as i64), row(y.floor() as i64)),
         Filter::Linear => {
             let (x, y) = (x - 0.5, y - 0.5);
             let (fx, fy) = (x - x.floor(), y - y.floor());
             let (i, j) = (x.floor() as i64, y.floor() as i64);
-            let (right, down) = (i.saturating_add(1), j.saturating_add(1));
+            let (right, down) = (column(i.saturating_add(1)), row(j.saturating_add(1)));
+            let (i, j) = (column(i), row(j));
             let top = texel(i, j).lerp(texel(right, j), fx);
             top.lerp(texel(i, down).lerp(texel(right, down), fx), fy)
         }
@@ -99,8 +99,13 @@ fn read(level: &Raster, sampler: &Sampler, filter: Filter, uv: Vec2, decode: &im
 }
 
 /// The texel index in `[0, size)` that an index anywhere means.
+#[inline]
 fn wrapped(index: i64, size: u32, wrap: Wrap) -> usize {
     let size = size as i64;
+    // Nearly all, and the divisions below are slow.
+    if (0..size).contains(&index) {
+        return index as usize;
+    }
     let wrapped = match wrap {
         Wrap::Repeat => index.rem_euclid(size),
         Wrap::ClampToEdge => index.clamp(0, size - 1),

@@ -1,6 +1,6 @@
 //! Simplification beside the `meshopt` crate: seconds, input triangles a second, surface distance, normals, border.
 //!
-//! `cargo run --release -p kiln-bench --bin simplify -- MODEL... [--keep SHARE]... [--runs N] [--quick] [--out FILE]`
+//! `cargo run --release -p kiln-bench --bin simplify -- MODEL... [--keep SHARE]... [--runs N] [--quick] [--save FOLDER] [--out FILE]`
 //!
 //! Positions only: one vertex a point, no attributes, one submesh; where a peer weighs normals, area-weighted ones. Only the
 //! call is timed: kiln's is the collapse sequence down to the share and the level cut from it, meshoptimizer's the one call; the
@@ -8,9 +8,10 @@
 //! turns, so that what else the machine does hits all alike; the median of the runs counts. kiln runs on one thread and on
 //! two, meshoptimizer has one.
 //!
-//! Distances are those of kiln-measure: exact nearest points of 500,000 samples a side. `--quick` leaves them out.
+//! Distances are those of kiln-measure: exact nearest points of 500,000 samples a side. `--quick` leaves them out. `--save`
+//! writes source and levels as OBJ files, for other tools to measure.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use kiln_asset::Mesh;
@@ -47,23 +48,25 @@ struct Arguments {
     shares: Vec<f64>,
     runs: usize,
     quick: bool,
+    save: Option<PathBuf>,
     out: Option<PathBuf>,
 }
 
 fn main() -> ExitCode {
-    let mut given = Arguments { models: Vec::new(), shares: Vec::new(), runs: 5, quick: false, out: None };
+    let mut given = Arguments { models: Vec::new(), shares: Vec::new(), runs: 5, quick: false, save: None, out: None };
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
         match arg.as_str() {
             "--keep" => given.shares.extend(args.next().and_then(|v| v.parse::<f64>().ok())),
             "--runs" => given.runs = args.next().and_then(|v| v.parse().ok()).unwrap_or(given.runs).max(1),
             "--quick" => given.quick = true,
+            "--save" => given.save = args.next().map(PathBuf::from),
             "--out" => given.out = args.next().map(PathBuf::from),
             _ => given.models.push(PathBuf::from(arg)),
         }
     }
     if given.models.is_empty() {
-        eprintln!("usage: simplify MODEL... [--keep SHARE]... [--runs N] [--quick] [--out FILE]");
+        eprintln!("usage: simplify MODEL... [--keep SHARE]... [--runs N] [--quick] [--save FOLDER] [--out FILE]");
         return ExitCode::from(64);
     }
     if given.shares.is_empty() {
@@ -80,7 +83,7 @@ fn main() -> ExitCode {
 
 fn run(given: Arguments) -> Result<(), String> {
     let pools = [pool(1)?, pool(2)?];
-    let mut page = Page::new(given.out);
+    let mut page = Page::new(given.out.clone());
     page.line("# Simplification beside meshoptimizer");
     page.line("");
     page.line(&stamp("cargo run --release -p kiln-bench --bin simplify -- MODEL..."));
@@ -111,7 +114,7 @@ fn run(given: Arguments) -> Result<(), String> {
             ":normals",
             ":border",
         ]);
-        compare(&mesh, &pools, &given.shares, given.runs, given.quick, &mut page).map_err(failed)?;
+        compare(&name(path), &mesh, &pools, &given, &mut page).map_err(failed)?;
     }
     page.finish()
 }
@@ -137,14 +140,8 @@ struct Row<'a> {
     left: Left,
 }
 
-fn compare(
-    mesh: &Mesh,
-    pools: &[ThreadPool],
-    shares: &[f64],
-    runs: usize,
-    quick: bool,
-    page: &mut Page,
-) -> Result<(), String> {
+fn compare(model: &str, mesh: &Mesh, pools: &[ThreadPool], given: &Arguments, page: &mut Page) -> Result<(), String> {
+    let Arguments { shares, runs, quick, save, .. } = given;
     let settings = [
         PEER,
         Setting { call: Call::WithUpdate, uv: 0.0, normal: 0.5 },
@@ -152,6 +149,9 @@ fn compare(
         Setting { call: Call::Simplify, uv: 0.0, normal: 0.0 },
     ];
     let inputs: Vec<Input> = settings.iter().map(|setting| Input::new(mesh, *setting)).collect::<Result<_, _>>()?;
+    if let Some(folder) = save {
+        obj(&folder.join(format!("{model}.obj")), mesh)?;
+    }
     let surface = match quick {
         true => None,
         false => Some(SurfaceReference::new(mesh, SAMPLES).ok_or("a surface without area")?),
@@ -173,14 +173,20 @@ fn compare(
                 input.run(budget).map(|(output, seconds)| (Left::Buffers(output), seconds))
             }));
         }
-        take_turns(&mut rows, runs)?;
+        take_turns(&mut rows, *runs)?;
         let peer = rows.iter().find(|row| row.tool == PEER.name()).map_or(f64::NAN, Row::median);
         // The same level on any thread count: measured once.
         let mut measured: Option<(String, [String; 5])> = None;
         for row in &rows {
             let figures = match measured.take() {
                 Some((tool, figures)) if tool == row.tool => figures,
-                _ => figures(&row.level()?, surface.as_ref(), &border)?,
+                _ => {
+                    let level = row.level()?;
+                    if let Some(folder) = save {
+                        obj(&folder.join(format!("{model}, {share}, {}.obj", row.tool)), &level)?;
+                    }
+                    figures(&level, surface.as_ref(), &border)?
+                }
             };
             let [triangles, mean, greatest, normals, kept] = &figures;
             let seconds = row.median();
@@ -201,7 +207,7 @@ fn compare(
             measured = Some((row.tool.clone(), figures));
         }
     }
-    whole_sequence(mesh, pools, runs, page)
+    whole_sequence(mesh, pools, *runs, page)
 }
 
 impl<'a> Row<'a> {
@@ -252,6 +258,18 @@ fn figures(level: &Mesh, surface: Option<&SurfaceReference<'_>>, border: &Border
         cells[3] = format!("{:.2}", distance.normal_degrees);
     }
     Ok(cells)
+}
+
+/// Writes the positions and triangles.
+fn obj(path: &Path, mesh: &Mesh) -> Result<(), String> {
+    let mut text = String::new();
+    for p in &mesh.positions {
+        text.push_str(&format!("v {} {} {}\n", p.x, p.y, p.z));
+    }
+    for [a, b, c] in &mesh.triangles {
+        text.push_str(&format!("f {} {} {}\n", a + 1, b + 1, c + 1));
+    }
+    std::fs::write(path, text).map_err(|e| format!("{}: {e}", path.display()))
 }
 
 /// kiln's sequence to exhaustion.

@@ -243,8 +243,9 @@ impl<'a> Surface<'a> {
 }
 
 /// A texel as codes, alpha too.
-fn texel_codes(texel: [u8; 4]) -> Vec4 {
-    Vec4::from(texel.map(f32::from))
+#[inline]
+fn texel_codes([r, g, b, a]: [u8; 4]) -> Vec4 {
+    Vec4::new(f32::from(r), f32::from(g), f32::from(b), f32::from(a))
 }
 
 /// An sRGB texel as linear light, alpha in `[0, 1]`.

@@ -13,4 +13,4 @@ pub mod raster;
 pub mod sample;
 pub mod triangle;
 
-pub use bvh::{Bvh, Hint, LineHit, NearestPoint, Nearby};
+pub use bvh::{Bvh, Hint, LineHit, Nearby, NearestPoint};

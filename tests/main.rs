@@ -17,6 +17,7 @@ mod families;
 mod gltfpack;
 mod goldens;
 mod init;
+mod parts;
 mod pipelines;
 mod rebuild;
 mod why;

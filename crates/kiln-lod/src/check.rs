@@ -11,31 +11,50 @@ use crate::topology::{EdgeKind, PointKind, Topology};
 /// Points of complex edges count as known: such an edge may become a border when one of its sheets vanishes, but its points
 /// never go, so nothing opens there.
 pub fn gaps(before: &Mesh, after: &Mesh) -> usize {
-    let topology = Topology::new(before);
-    let mut known_point: Vec<bool> = topology.kinds.iter().map(|kind| *kind == PointKind::Complex).collect();
-    for corner in border_half_edges(&topology) {
-        for p in half_edge_points(&topology, corner) {
-            known_point[p as usize] = true;
-        }
-    }
-    let place = |mesh: &Mesh, v: usize| mesh.positions[v].to_array().map(|c| (c + 0.0).to_bits());
-    // All wedges of a point: which of them a border edge names may change with its faces.
-    let mut known: Vec<[u32; 3]> = (0..before.vertex_count())
-        .filter(|v| known_point[before.points[*v].index()])
-        .map(|v| place(before, v))
-        .collect();
-    known.sort_unstable();
-    known.dedup();
+    Borders::of(before, &Topology::new(before)).gaps(after)
+}
 
-    let topology = Topology::new(after);
-    border_half_edges(&topology)
-        .filter(|corner| {
-            [*corner, crate::topology::next(*corner)].iter().any(|c| {
-                let v = after.triangles[*c as usize / 3][*c as usize % 3] as usize;
-                known.binary_search(&place(after, v)).is_err()
+/// Where a mesh has borders; many others can be compared with it.
+pub(crate) struct Borders {
+    /// Places of all wedges of border and complex points, as bits, ascending.
+    known: Vec<[u32; 3]>,
+}
+
+impl Borders {
+    /// Of `before`, whose topology it is.
+    pub(crate) fn of(before: &Mesh, topology: &Topology) -> Borders {
+        let mut known_point: Vec<bool> = topology.kinds.iter().map(|kind| *kind == PointKind::Complex).collect();
+        for corner in border_half_edges(topology) {
+            for p in half_edge_points(topology, corner) {
+                known_point[p as usize] = true;
+            }
+        }
+        // All wedges of a point: which of them a border edge names may change with its faces.
+        let mut known: Vec<[u32; 3]> = (0..before.vertex_count())
+            .filter(|v| known_point[before.points[*v].index()])
+            .map(|v| place(before, v))
+            .collect();
+        known.sort_unstable();
+        known.dedup();
+        Borders { known }
+    }
+
+    /// As [`gaps`].
+    pub(crate) fn gaps(&self, after: &Mesh) -> usize {
+        let topology = Topology::new(after);
+        border_half_edges(&topology)
+            .filter(|corner| {
+                [*corner, crate::topology::next(*corner)].iter().any(|c| {
+                    let v = after.triangles[*c as usize / 3][*c as usize % 3] as usize;
+                    self.known.binary_search(&place(after, v)).is_err()
+                })
             })
-        })
-        .count()
+            .count()
+    }
+}
+
+fn place(mesh: &Mesh, v: usize) -> [u32; 3] {
+    mesh.positions[v].to_array().map(|c| (c + 0.0).to_bits())
 }
 
 /// The corners whose half-edges have no second face.

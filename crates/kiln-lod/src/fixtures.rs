@@ -137,6 +137,23 @@ pub(crate) fn pair(columns: u32, rows: u32) -> Mesh {
     .expect("a sound fixture")
 }
 
+/// `columns x rows` submeshes "part X Y" of `n x n` quads each, on the height field `z(x, y)`, merged.
+pub(crate) fn quilt(columns: u32, rows: u32, n: u32, z: impl Fn(f32, f32) -> f32) -> Mesh {
+    let mut raw = RawMesh::default();
+    for part in 0..columns * rows {
+        let (x0, y0) = ((part % columns * n) as f32, (part / columns * n) as f32);
+        let first = raw.positions.len() as u32;
+        raw.positions.extend(grid_points(n, n, x0).into_iter().map(|p| Vec3::new(p.x, p.y + y0, z(p.x, p.y + y0))));
+        let triangles = grid_triangles(n, n, first);
+        raw.face_submesh.extend(triangles.iter().map(|_| SubmeshId(part)));
+        let name = format!("part {} {}", part % columns, part / columns);
+        raw.submeshes.push(Submesh { name, source_triangles: triangles.len() as u32, ..Default::default() });
+        raw.triangles.extend(triangles);
+    }
+    raw.uv0 = Some(raw.positions.iter().map(|p| p.truncate() * 0.01).collect());
+    merge(&Mesh::new(raw).expect("a sound fixture"), &MergeOptions::default()).0
+}
+
 /// A 4 x 4 grid with a UV slit along the line x = 2 from the border up to y = 2.
 pub(crate) fn slit_grid() -> Mesh {
     let mut raw = grid(4, 4).into_raw();

@@ -15,17 +15,22 @@ use crate::topology::{NONE, Topology, is_degenerate};
 /// `mesh` with normals in every submesh that had none; hard edges where faces meet at more than `angle` degrees. Points, faces
 /// and their order stay; wedges are split and follow the old ones.
 pub fn rebuild(mesh: &Mesh, angle: f32) -> Mesh {
-    rebuild_where(mesh, angle, |has| !has)
+    let wanted: Vec<bool> = mesh.submeshes.iter().map(|s| !(s.attributes.normals && mesh.normals.is_some())).collect();
+    rebuild_where(mesh, angle, &wanted)
 }
 
 /// The same for every submesh, whatever it has.
 pub fn rebuild_all(mesh: &Mesh, angle: f32) -> Mesh {
-    rebuild_where(mesh, angle, |_| true)
+    rebuild_where(mesh, angle, &vec![true; mesh.submeshes.len()])
 }
 
-fn rebuild_where(mesh: &Mesh, angle: f32, wanted: impl Fn(bool) -> bool) -> Mesh {
-    let wanted: Vec<bool> =
-        mesh.submeshes.iter().map(|s| wanted(s.attributes.normals && mesh.normals.is_some())).collect();
+/// The same for every submesh that is not in `kept`, `[submesh_count]`.
+pub fn rebuild_but(mesh: &Mesh, angle: f32, kept: &[bool]) -> Mesh {
+    let wanted: Vec<bool> = kept.iter().map(|kept| !kept).collect();
+    rebuild_where(mesh, angle, &wanted)
+}
+
+fn rebuild_where(mesh: &Mesh, angle: f32, wanted: &[bool]) -> Mesh {
     if !wanted.contains(&true) {
         return mesh.clone();
     }
@@ -108,7 +113,7 @@ fn rebuild_where(mesh: &Mesh, angle: f32, wanted: impl Fn(bool) -> bool) -> Mesh
     let mut out = raw.gather(&keep, triangles, raw.face_submesh.clone());
     out.points = points;
     out.normals = Some(normals);
-    for (submesh, wanted) in out.submeshes.iter_mut().zip(&wanted) {
+    for (submesh, wanted) in out.submeshes.iter_mut().zip(wanted) {
         submesh.attributes.normals |= *wanted;
         // Tangents belong to the normals they were made with.
         submesh.attributes.tangents &= !*wanted;

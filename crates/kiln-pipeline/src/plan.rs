@@ -6,8 +6,9 @@
 //! ```text
 //! import            -> mesh, materials, image/N
 //! merge             <- mesh                                    -> mesh
-//! simplify          <- mesh or levels                          -> sequence
-//!   levels          <- mesh or levels, sequence, source mesh   -> levels
+//! simplify          <- mesh or levels, materials if locked     -> sequence
+//!   parts           <- mesh or levels, sequence                -> dependencies; where there are rules for submeshes
+//!   levels          <- mesh or levels, sequence, dependencies, source mesh -> levels
 //! atlas             <- levels                                  -> levels
 //! bake              <- levels, high mesh, materials, images    -> levels, materials, image/N
 //! pack              <- levels, materials, images               -> container
@@ -254,15 +255,37 @@ impl Planner<'_> {
                     Placed { action, output: "mesh", ..before }
                 }
                 StageSettings::Simplify(options) => {
-                    let collapse_id = format!("{id}/collapse");
-                    let collapse_label = format!("{label}, collapse");
-                    let collapse =
-                        stages::simplify::collapse_action(collapse_id, collapse_label, options, before.source());
+                    let inputs = stages::simplify::Inputs {
+                        before: before.source(),
+                        materials: Source::output(before.materials, "materials"),
+                    };
+                    let collapse = stages::simplify::collapse_action(
+                        format!("{id}/collapse"),
+                        format!("{label}, collapse"),
+                        options,
+                        &inputs,
+                    );
                     let collapse = self.push(collapse);
                     actions.push((collapse, format!("{}, collapse", stage.id)));
-                    let source = source_mesh(stage, &resolved.stages, &results, import);
                     let sequence = Source::output(collapse, "sequence");
-                    let levels = stages::simplify::levels_action(id, label, options, before.source(), sequence, source);
+                    let rules = rules_of(stage, &resolved.stages);
+                    let dependencies = (!rules.is_empty()).then(|| {
+                        let (id, label) = (format!("{id}/parts"), format!("{label}, parts"));
+                        let parts = stages::simplify::parts_action(id, label, &inputs, sequence.clone());
+                        let parts = self.push(parts);
+                        actions.push((parts, format!("{}, parts", stage.id)));
+                        Source::output(parts, "dependencies")
+                    });
+                    let source = source_mesh(stage, &resolved.stages, &results, import);
+                    let levels = stages::simplify::levels_action(
+                        id,
+                        label,
+                        options,
+                        rules,
+                        &inputs,
+                        [sequence, source],
+                        dependencies,
+                    );
                     Placed { action: self.push(levels), output: "levels", ..before }
                 }
                 StageSettings::Atlas(options) => {
@@ -303,6 +326,21 @@ impl Planner<'_> {
         self.plan.targets.push(Target { path: output.clone(), action: container, output: "container".into() });
         PlannedAsset { input, output, target, actions, resolved: resolved.to_resolved_toml() }
     }
+}
+
+/// The rules for submeshes that hold in a simplify stage: those of earlier stages first, since later ones win.
+fn rules_of(stage: &Stage, stages: &[Stage]) -> Vec<stages::simplify::HeldRule> {
+    let of = |stage: &Stage, met: bool| match &stage.settings {
+        StageSettings::Simplify(options) => options.submesh.0.iter().map(|rule| (rule.clone(), met)).collect(),
+        _ => Vec::new(),
+    };
+    let mut rules: Vec<stages::simplify::HeldRule> = of(stage, false);
+    let mut input = stage.input;
+    while let StageInput::Stage(index) = input {
+        rules.splice(0..0, of(&stages[index], true));
+        input = stages[index].input;
+    }
+    rules
 }
 
 /// The mesh that a simplify stage's errors are measured against: the first mesh that it descends from.

@@ -262,12 +262,15 @@ fn defects(error: &ActionError) -> Vec<String> {
     vec![error.to_string()]
 }
 
-/// What reports say of budgets missed (`levels[].short`) and of things repaired, replaced or left out (`repairs`, `warnings`).
+/// What reports say of budgets missed (`levels[].short`), of what was asked in vain (`short`), and of things repaired, replaced or left out (`repairs`, `warnings`).
 fn soft_trouble(place: &str, report: &Value, summary: &mut Summary) {
     for (number, level) in report["levels"].as_array().into_iter().flatten().enumerate() {
         if let Some(short) = level["short"].as_str() {
             summary.short.push(format!("{place}, level {number}: {short}"));
         }
+    }
+    for vain in report["short"].as_array().into_iter().flatten() {
+        summary.short.extend(vain.as_str().map(|text| format!("{place}: {text}")));
     }
     for repair in report["repairs"].as_array().into_iter().flatten() {
         let what = repair["sentence"].as_str().or(repair["kind"].as_str()).unwrap_or("repaired");

@@ -118,7 +118,7 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
             let to = self.best[from as usize];
             // Two points that are left lose no edge between them.
             if self.work.points[to as usize].count > 0
-                && self.rank_of(from, to, NONE) == rank
+                && self.rank_of(from, to) == rank
                 && self.work.test(from, to).is_none()
             {
                 self.collapse(from, to);
@@ -142,8 +142,8 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
     }
 
     #[inline]
-    fn rank_of(&self, from: u32, to: u32, corner: u32) -> u32 {
-        rank(self.metric.cost(&self.work, from, to, corner))
+    fn rank_of(&self, from: u32, to: u32) -> u32 {
+        self.work.ranked(from, self.metric.cost(&self.work, from, to, NONE))
     }
 
     #[inline]
@@ -209,7 +209,7 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
             (State::Raised | State::Blocked, _) => self.price(p),
             (State::Queued, Moves::AlongLine) if !point.line.contains(&to) => {}
             (State::Queued, _) => {
-                let offered = self.rank_of(p, to, NONE);
+                let offered = self.rank_of(p, to);
                 let point = &self.work.points[p as usize];
                 if offered < point.rank {
                     self.enqueue(p, offered, to, State::Queued);
@@ -252,7 +252,7 @@ fn find_targets<M: Metric>(work: &Working<'_>, metric: &M, p: u32, targets: &mut
         Moves::AlongLine => {
             for to in point.line {
                 if to != NONE {
-                    targets.push((rank(metric.cost(work, p, to, NONE)), to));
+                    targets.push((work.ranked(p, metric.cost(work, p, to, NONE)), to));
                 }
             }
         }

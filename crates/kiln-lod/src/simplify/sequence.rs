@@ -1,5 +1,7 @@
 //! The collapse sequence: what was collapsed, in order; any prefix of it is a level.
 
+use std::ops::Range;
+
 use bytemuck::{Pod, Zeroable};
 use kiln_asset::blob::{BlobError, BlobReader, BlobWriter};
 use kiln_asset::{Mesh, MeshError, SubmeshId};
@@ -50,13 +52,15 @@ pub struct CollapseSequence {
     pub(super) report: SequenceReport,
 }
 
-/// A cut.
-pub(super) struct Replayed {
-    pub(super) level: Mesh,
+/// A cut, and what became of the mesh that it is cut from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Replayed {
+    /// What is left.
+    pub level: Mesh,
     /// For each point of the level the mesh's point that it is.
-    pub(super) origin: Vec<u32>,
+    pub origin: Vec<u32>,
     /// For each vertex of the mesh that of the level that it went to, or `u32::MAX` if its side of the point is gone.
-    pub(super) heirs: Vec<u32>,
+    pub heirs: Vec<u32>,
 }
 
 impl CollapseSequence {
@@ -91,6 +95,18 @@ impl CollapseSequence {
         self.collapses.partition_point(|c| c.error <= error)
     }
 
+    /// Where the vanished faces of collapse `i` lie in [`CollapseSequence::faces`].
+    pub(super) fn faces_of(&self, i: usize) -> Range<usize> {
+        let end = self.collapses.get(i + 1).map_or(self.faces.len(), |c| c.first_face as usize);
+        self.collapses[i].first_face as usize..end
+    }
+
+    /// Where the wedge pairs of collapse `i` lie in [`CollapseSequence::pairs`].
+    pub(super) fn pairs_of(&self, i: usize) -> Range<usize> {
+        let end = self.collapses.get(i + 1).map_or(self.pairs.len(), |c| c.first_pair as usize);
+        self.collapses[i].first_pair as usize..end
+    }
+
     /// The mesh after the first `count` collapses; the mesh itself, bit for bit, after none.
     ///
     /// # Errors
@@ -101,53 +117,23 @@ impl CollapseSequence {
 
     /// As [`CollapseSequence::replay`], with what became of the mesh's points and vertices.
     pub(super) fn replay_with_heirs(&self, mesh: &Mesh, count: usize) -> Result<Replayed, MeshError> {
-        if count == 0 {
-            return Ok(Replayed {
-                level: mesh.clone(),
-                origin: (0..mesh.point_count() as u32).collect(),
-                heirs: (0..mesh.vertex_count() as u32).collect(),
-            });
-        }
         let pair_end = self.collapses.get(count).map_or(self.pairs.len(), |c| c.first_pair as usize);
         let face_end = self.collapses.get(count).map_or(self.faces.len(), |c| c.first_face as usize);
-        // A partner may go later: resolve from the last pair backwards, when its own end is known already.
-        let mut stands: Vec<u32> = (0..mesh.vertex_count() as u32).collect();
-        for [wedge, partner] in self.pairs[..pair_end].iter().rev() {
-            if let (Some(end), true) = (stands.get(*partner as usize).copied(), (*wedge as usize) < stands.len()) {
-                stands[*wedge as usize] = end;
-            }
-        }
-        let mut gone = vec![false; mesh.face_count()];
-        for face in &self.faces[..face_end] {
-            if let Some(slot) = gone.get_mut(*face as usize) {
-                *slot = true;
-            }
-        }
-        let mut new_index = vec![u32::MAX; mesh.vertex_count()];
-        let mut triangles = Vec::with_capacity(mesh.face_count() - face_end.min(mesh.face_count()));
-        let mut face_submesh: Vec<SubmeshId> = Vec::with_capacity(triangles.capacity());
-        for (f, triangle) in mesh.triangles.iter().enumerate().filter(|(f, _)| !gone[*f]) {
-            triangles.push(triangle.map(|v| stands[v as usize]));
-            face_submesh.push(mesh.face_submesh[f]);
-        }
-        // Vertices keep the mesh's order.
-        for v in triangles.iter().flatten() {
-            new_index[*v as usize] = 0;
-        }
-        let keep: Vec<u32> = (0..mesh.vertex_count() as u32).filter(|v| new_index[*v as usize] == 0).collect();
-        for (i, v) in keep.iter().enumerate() {
-            new_index[*v as usize] = i as u32;
-        }
-        for triangle in &mut triangles {
-            *triangle = triangle.map(|v| new_index[v as usize]);
-        }
-        let level = Mesh::new(mesh.gather(&keep, triangles, face_submesh))?;
-        let mut origin = vec![0; level.point_count()];
-        for (v, old) in keep.iter().enumerate() {
-            origin[level.points[v].index()] = mesh.points[*old as usize].0;
-        }
-        let heirs = stands.iter().map(|v| new_index[*v as usize]).collect();
-        Ok(Replayed { level, origin, heirs })
+        replayed(mesh, self.pairs[..pair_end].iter().rev(), self.faces[..face_end].iter())
+    }
+
+    /// The mesh after the collapses of a closed set, `applied[i]` for collapse `i`, with what became of the mesh's points and
+    /// vertices; the mesh itself, bit for bit, after none.
+    ///
+    /// # Errors
+    /// The sequence belongs to another mesh.
+    ///
+    /// # Panics
+    /// If `applied` is shorter than the sequence.
+    pub fn replay_set(&self, mesh: &Mesh, applied: &[bool]) -> Result<Replayed, MeshError> {
+        let chosen = || (0..self.collapses.len()).filter(|i| applied[*i]);
+        let pairs = chosen().rev().flat_map(|i| &self.pairs[self.pairs_of(i)]);
+        replayed(mesh, pairs, chosen().flat_map(|i| &self.faces[self.faces_of(i)]))
     }
 
     /// The sequence as bytes for the private cache.
@@ -189,4 +175,60 @@ impl CollapseSequence {
                 .is_none_or(|c| c.first_face as usize <= s.faces.len() && c.first_pair as usize <= s.pairs.len());
         if sound { Ok(sequence) } else { Err(BlobError::Content("collapse sequence out of range or order".into())) }
     }
+}
+
+/// `mesh` without the faces `vanished`, its corners moved along `pairs`, which come last collapse first.
+fn replayed<'a>(
+    mesh: &Mesh,
+    pairs: impl Iterator<Item = &'a [u32; 2]>,
+    vanished: impl Iterator<Item = &'a u32>,
+) -> Result<Replayed, MeshError> {
+    // A partner may go later: resolve from the last pair backwards, when its own end is known already.
+    let mut stands: Vec<u32> = (0..mesh.vertex_count() as u32).collect();
+    for [wedge, partner] in pairs {
+        if let (Some(end), true) = (stands.get(*partner as usize).copied(), (*wedge as usize) < stands.len()) {
+            stands[*wedge as usize] = end;
+        }
+    }
+    let mut gone = vec![false; mesh.face_count()];
+    let mut gone_count = 0;
+    for face in vanished {
+        if let Some(slot) = gone.get_mut(*face as usize) {
+            *slot = true;
+            gone_count += 1;
+        }
+    }
+    // Every collapse takes a face with it.
+    if gone_count == 0 {
+        return Ok(Replayed {
+            level: mesh.clone(),
+            origin: (0..mesh.point_count() as u32).collect(),
+            heirs: (0..mesh.vertex_count() as u32).collect(),
+        });
+    }
+    let mut new_index = vec![u32::MAX; mesh.vertex_count()];
+    let mut triangles = Vec::with_capacity(mesh.face_count() - gone_count.min(mesh.face_count()));
+    let mut face_submesh: Vec<SubmeshId> = Vec::with_capacity(triangles.capacity());
+    for (f, triangle) in mesh.triangles.iter().enumerate().filter(|(f, _)| !gone[*f]) {
+        triangles.push(triangle.map(|v| stands[v as usize]));
+        face_submesh.push(mesh.face_submesh[f]);
+    }
+    // Vertices keep the mesh's order.
+    for v in triangles.iter().flatten() {
+        new_index[*v as usize] = 0;
+    }
+    let keep: Vec<u32> = (0..mesh.vertex_count() as u32).filter(|v| new_index[*v as usize] == 0).collect();
+    for (i, v) in keep.iter().enumerate() {
+        new_index[*v as usize] = i as u32;
+    }
+    for triangle in &mut triangles {
+        *triangle = triangle.map(|v| new_index[v as usize]);
+    }
+    let level = Mesh::new(mesh.gather(&keep, triangles, face_submesh))?;
+    let mut origin = vec![0; level.point_count()];
+    for (v, old) in keep.iter().enumerate() {
+        origin[level.points[v].index()] = mesh.points[*old as usize].0;
+    }
+    let heirs = stands.iter().map(|v| new_index[*v as usize]).collect();
+    Ok(Replayed { level, origin, heirs })
 }

@@ -6,10 +6,11 @@
 use glam::{DVec3, Vec2, Vec3};
 use kiln_asset::{Mesh, UvLayout};
 
-use super::SimplifyOptions;
 use super::collapse::State;
+use super::heap::rank;
 use super::rules::Rule;
 use super::uv_border::UvBorder;
+use super::{Boundary, SimplifyOptions};
 use crate::topology::{NONE, PointKind, Topology, is_degenerate, same_chart};
 
 /// Cosine between the normals of two wedges; 1 where the mesh has none.
@@ -87,7 +88,10 @@ impl<'a> Working<'a> {
                     rank: 0,
                     line: topology.lines[p],
                     mark: 0,
-                    kind: topology.kinds[p],
+                    kind: match topology.kinds[p] {
+                        PointKind::Boundary if options.boundary == Boundary::Lock => PointKind::Locked,
+                        kind => kind,
+                    },
                     state: State::Out,
                     parted: false,
                 }
@@ -122,6 +126,15 @@ impl<'a> Working<'a> {
             map: Vec::new(),
             ring: Vec::new(),
             vanished: Vec::new(),
+        }
+    }
+
+    /// Keeps the points `locked` (empty, or `[point_count]`) where they are; others may come to them.
+    pub(super) fn lock(&mut self, locked: &[bool]) {
+        for (point, locked) in self.points.iter_mut().zip(locked) {
+            if *locked {
+                point.kind = PointKind::Locked;
+            }
         }
     }
 
@@ -166,6 +179,14 @@ impl<'a> Working<'a> {
         let other = self.corners(from).iter().find(|c| **c != corner && self.others(**c).contains(&to));
         let other = other.map(|other| self.pair(*other, to)).filter(|other| other[0] != pair[0]);
         [Some(pair), other]
+    }
+
+    /// Rank of a cost of `from`.
+    #[inline]
+    pub(super) fn ranked(&self, from: u32, cost: f32) -> u32 {
+        // The sign bit of a cost is free: with it set, a rank lies behind all others.
+        let last = self.options.boundary == Boundary::Last && self.points[from as usize].kind == PointKind::Boundary;
+        rank(cost) | u32::from(last) << 31
     }
 
     /// The point beside `from` on its line that is not `to`.

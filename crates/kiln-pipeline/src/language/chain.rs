@@ -12,7 +12,7 @@
 
 use super::diagnostic::{Code, Origin, Report, nearest, suggest};
 use super::length::{Length, Unit};
-use super::options::{Kind, LevelBudget, Normals};
+use super::options::{Kind, LevelBudget, Normals, RuleLevel, SubmeshRule};
 use super::pipeline::{Stage, StageInput, StageSettings};
 use super::read::Draft;
 
@@ -74,6 +74,9 @@ pub(crate) fn check(drafts: Vec<Draft>, report: &mut Report) -> Option<Vec<Stage
         let flow = walk.step(index, &incoming);
         walk.flows.push(flow);
         inputs.push(input);
+    }
+    for index in 0..drafts.len() {
+        walk.rules(index, &inputs);
     }
     walk.pack();
     walk.left_over(&inputs);
@@ -353,6 +356,61 @@ impl Walk<'_> {
                     LevelBudget::Error(_) => "`error` is measured against the SOURCE asset, in every stage",
                 };
                 self.report.add(Code::LevelAbove, origin, message, "finer than what is left", Some(help.to_owned()));
+            }
+        }
+    }
+
+    /// What rules for submeshes refer to: a level that the stage has, a rule that is there, and never themselves.
+    fn rules(&mut self, index: usize, inputs: &[Option<StageInput>]) {
+        let drafts = self.drafts;
+        let Some(StageSettings::Simplify(own)) = &drafts[index].settings else { return };
+        // Rules of earlier stages hold on: theirs first, so that later ones win.
+        let mut all: Vec<&SubmeshRule> = own.submesh.0.iter().collect();
+        let mut at = index;
+        while let Some(StageInput::Stage(before)) = inputs[at] {
+            if let Some(StageSettings::Simplify(earlier)) = &drafts[before].settings {
+                all.splice(0..0, &earlier.submesh.0);
+            }
+            at = before;
+        }
+        let first_own = all.len() - own.submesh.0.len();
+        let named = |name: &str| all.iter().rposition(|rule| rule.name == name);
+        for (at, rule) in own.submesh.0.iter().enumerate() {
+            let origin = |key: &str| drafts[index].origin(&format!("submesh[{at}].{key}"));
+            match &rule.level {
+                RuleLevel::Keep(_) => {}
+                RuleLevel::Level(level) if own.levels.is_empty() || (*level as usize) < own.levels.len() => {}
+                RuleLevel::Level(level) => {
+                    let count = own.levels.len();
+                    let some = if count == 1 { "one level" } else { &format!("{count} levels") };
+                    let message = format!("the stage has {some}, and `level` names number {level}");
+                    let help = format!("levels are counted from 0, the finest, to {}", count - 1);
+                    self.report.add(Code::RuleLevel, origin("level"), message, "no such level", Some(help));
+                }
+                RuleLevel::Relative { to, .. } => {
+                    let mut next = named(to);
+                    if next.is_none() {
+                        let names: Vec<&str> = all.iter().map(|rule| rule.name.as_str()).collect();
+                        let help = suggest("names of rules", to, &names);
+                        let message = format!("no rule has the name `{to}`");
+                        self.report.add(Code::RuleUnknown, origin("relative-to"), message, "no such rule", help);
+                    }
+                    // Each step leads to another rule; more steps than rules lead in a ring.
+                    let mut way = vec![rule.name.as_str()];
+                    while let Some(on) = next.filter(|_| way.len() <= all.len()) {
+                        way.push(&all[on].name);
+                        if on == first_own + at {
+                            let message = "a rule cannot be relative to itself";
+                            let help = Some(format!("the way round: {}", way.join(" -> ")));
+                            self.report.add(Code::RuleCycle, origin("relative-to"), message, "leads back", help);
+                            break;
+                        }
+                        next = match &all[on].level {
+                            RuleLevel::Relative { to, .. } => named(to),
+                            _ => None,
+                        };
+                    }
+                }
             }
         }
     }

@@ -70,6 +70,18 @@ choices! {
 }
 
 choices! {
+    /// When submesh boundaries may change.
+    pub enum BoundaryRule {
+        /// Their points go along them whenever that is cheapest.
+        "along" => Along,
+        /// As before, but only when nothing else is left.
+        "last" => Last,
+        /// Never.
+        "lock" => Lock,
+    }
+}
+
+choices! {
     /// What becomes of the input's normals.
     pub enum Normals {
         /// They stay; only missing ones are made.
@@ -229,13 +241,17 @@ options! {
         "normal-angle" => normal_angle: f64, default(30.0), within 0..=180;
         /// Levels of detail, finest first; each has exactly one of keep (share of the source asset's triangles), triangles and error (a length).
         "levels" => levels: Vec<LevelBudget>, required;
+        /// When submesh boundaries may change.
+        "boundary" => boundary: BoundaryRule, default(BoundaryRule::Along);
+        /// Greatest diagonal of a loose component's bounding box that may vanish where a level would miss its budget otherwise.
+        "prune" => prune: Option<Length>, derived("nothing is pruned");
+        /// Materials whose submeshes stay untouched: names, `*` any run of characters, `?` one.
+        "lock" => lock: Globs, default(Globs::default());
+        /// Rules for submeshes with budgets of their own, each `[[stage.submesh]]`; they hold for all later simplify stages.
+        "submesh" => submesh: SubmeshRules, default(SubmeshRules::default());
         later {
             /// Raises the cost of edges that cross a border in a texture.
             "texture-border";
-            /// When submesh boundaries may change.
-            "boundary";
-            /// Rules for submeshes with budgets of their own.
-            "submesh";
         }
     }
 }
@@ -294,7 +310,7 @@ options! {
     }
 }
 
-/// Keys of a submesh rule; recognised only, so that a level key after a rule's header can be explained.
+/// Keys of a submesh rule.
 pub(crate) const RULE_KEYS: [&str; 5] = ["name", "keep", "level", "relative-to", "factor"];
 
 impl Kind {
@@ -369,6 +385,161 @@ impl Setting for MergeRepairs {
     }
 }
 
+/// Globs over names, in which only `*` and `?` mean something. Unlike other lists this one may be empty.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Globs(pub Vec<String>);
+
+impl Setting for Globs {
+    fn shape() -> Shape {
+        Vec::<String>::shape()
+    }
+
+    fn read(node: &Node, report: &mut Report) -> Option<Self> {
+        if node.list().is_some_and(<[Node]>::is_empty) {
+            return Some(Globs::default());
+        }
+        Vec::<String>::read(node, report).map(Globs)
+    }
+
+    fn write(&self) -> Value {
+        self.0.write()
+    }
+}
+
+/// What a submesh rule grants.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RuleLevel {
+    /// Share of each submesh's own source triangles, above 0 and at most 1; 1 leaves it untouched.
+    Keep(f64),
+    /// What it has in this level of the stage without rules; 0 is the finest.
+    Level(u32),
+    /// A multiple of the share that the submeshes of another rule reached.
+    Relative {
+        /// The other rule's name, as it is written there.
+        to: String,
+        /// Above 0.
+        factor: f64,
+    },
+}
+
+/// One `[[stage.submesh]]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SubmeshRule {
+    /// Glob over names of submeshes: `*` any run of characters, `?` one.
+    pub name: String,
+    /// What it grants them.
+    pub level: RuleLevel,
+}
+
+impl Setting for SubmeshRule {
+    fn shape() -> Shape {
+        Shape::Table("name and one of keep, level, and relative-to with factor")
+    }
+
+    fn read(node: &Node, report: &mut Report) -> Option<Self> {
+        let Some(table) = node.table() else {
+            let help = Some(String::from("for example { name = \"wheel*\", keep = 0.5 }"));
+            mistyped(node, "a rule", help, report);
+            return None;
+        };
+        // Unknown keys are reported where the stage is read.
+        let Some(name) = table.get("name") else {
+            let help = Some(String::from("`name` takes a submesh's name; `*` stands for any characters, `?` for one"));
+            report.add(Code::KeyMissing, &node.origin, "a rule needs the key `name`", "`name` is missing", help);
+            return None;
+        };
+        let text = String::read(name, report)?;
+        if text.is_empty() {
+            report.add(Code::ValueEmpty, &name.origin, "a submesh's name is never empty", "empty", None);
+            return None;
+        }
+        let given: Vec<&str> =
+            ["keep", "level", "relative-to"].into_iter().filter(|name| table.get(name).is_some()).collect();
+        let [one] = given[..] else {
+            let misspelt = table.entries.iter().any(|entry| !RULE_KEYS.contains(&entry.name.as_str()));
+            if given.is_empty() && misspelt {
+                return None;
+            }
+            let (message, label) = match given.len() {
+                0 => ("a rule needs one of keep, level and relative-to", String::from("none of them")),
+                _ => (
+                    "a rule takes exactly one of keep, level and relative-to",
+                    format!("{} are given", given.join(" and ")),
+                ),
+            };
+            let help = Some(String::from("of several rules that match a submesh the last one holds"));
+            report.add(Code::RuleShape, &node.origin, message, label, help);
+            return None;
+        };
+        if let (Some(factor), true) = (table.entry("factor"), one != "relative-to") {
+            let message = format!("`factor` belongs to `relative-to`, and `{one}` is given");
+            report.add(Code::RuleShape, &factor.key, message, "of what?", None);
+            return None;
+        }
+        let value = table.get(one)?;
+        let level = match one {
+            "keep" => RuleLevel::Keep(share("each submesh's own source", value, report)?),
+            "level" => RuleLevel::Level(u32::read(value, report)?),
+            _ => {
+                let to = String::read(value, report)?;
+                let Some(factor) = table.get("factor") else {
+                    let help = Some(String::from("factor = 0.5 is half the level that the other rule reached"));
+                    let message = "`relative-to` needs the key `factor`";
+                    report.add(Code::KeyMissing, &value.origin, message, "`factor` is missing", help);
+                    return None;
+                };
+                let number = f64::read(factor, report)?;
+                if !(number > 0.0 && number <= 1e6) {
+                    let message = "`factor` must be above 0 and at most 1000000";
+                    report.add(Code::ValueRange, &factor.origin, message, "out of range", None);
+                    return None;
+                }
+                RuleLevel::Relative { to, factor: number }
+            }
+        };
+        Some(SubmeshRule { name: text, level })
+    }
+
+    fn write(&self) -> Value {
+        let mut entries = vec![(String::from("name"), self.name.write())];
+        match &self.level {
+            RuleLevel::Keep(keep) => entries.push((String::from("keep"), keep.write())),
+            RuleLevel::Level(level) => entries.push((String::from("level"), level.write())),
+            RuleLevel::Relative { to, factor } => {
+                entries.push((String::from("relative-to"), to.write()));
+                entries.push((String::from("factor"), factor.write()));
+            }
+        }
+        Value::Table(entries)
+    }
+}
+
+/// The rules of a stage in order. Unlike other lists this one may be empty.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SubmeshRules(pub Vec<SubmeshRule>);
+
+impl Setting for SubmeshRules {
+    fn shape() -> Shape {
+        Vec::<SubmeshRule>::shape()
+    }
+
+    fn read(node: &Node, report: &mut Report) -> Option<Self> {
+        if node.list().is_some_and(<[Node]>::is_empty) {
+            return Some(SubmeshRules::default());
+        }
+        Vec::<SubmeshRule>::read(node, report).map(SubmeshRules)
+    }
+
+    fn write(&self) -> Value {
+        self.0.write()
+    }
+}
+
+/// Rules in their canonical text.
+pub(crate) fn rules_text(rules: &[SubmeshRule]) -> String {
+    Value::List(rules.iter().map(Setting::write).collect()).to_toml()
+}
+
 /// A metric, written as its name or as a table `{ kind = NAME, ... }` with its parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MetricChoice(pub Metric);
@@ -441,18 +612,7 @@ impl Setting for LevelBudget {
             return None;
         }
         if let Some(keep) = table.get("keep") {
-            let value = f64::read(keep, report)?;
-            if value > 0.0 && value <= 1.0 {
-                return Some(LevelBudget::Keep(value));
-            }
-            let help = if (2.0..=100.0).contains(&value) {
-                format!("`keep` is a share: {} percent is {}", value, value / 100.0)
-            } else {
-                String::from("`keep` is the share of the source asset's triangles that stays; 1.0 keeps all")
-            };
-            let message = "`keep` must be above 0 and at most 1";
-            report.add(Code::ValueRange, &keep.origin, message, "out of range", Some(help));
-            return None;
+            return share("the source asset's", keep, report).map(LevelBudget::Keep);
         }
         if let Some(triangles) = table.get("triangles") {
             return read_within("triangles", triangles, Some((1.0, f64::from(u32::MAX))), report)
@@ -469,6 +629,22 @@ impl Setting for LevelBudget {
         };
         Value::Table(vec![(name.to_owned(), value)])
     }
+}
+
+/// A share above 0 and at most 1 of `whose` triangles.
+fn share(whose: &str, node: &Node, report: &mut Report) -> Option<f64> {
+    let value = f64::read(node, report)?;
+    if value > 0.0 && value <= 1.0 {
+        return Some(value);
+    }
+    let help = if (2.0..=100.0).contains(&value) {
+        format!("`keep` is a share: {} percent is {}", value, value / 100.0)
+    } else {
+        format!("`keep` is the share of {whose} triangles that stays; 1.0 keeps all")
+    };
+    let message = "`keep` must be above 0 and at most 1";
+    report.add(Code::ValueRange, &node.origin, message, "out of range", Some(help));
+    None
 }
 
 fn key_of(name: &'static str, shape: Shape) -> Key {

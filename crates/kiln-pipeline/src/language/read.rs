@@ -204,13 +204,17 @@ fn rules(table: &Table, keys: &[Key], report: &mut Report) {
     }
 }
 
-/// Where each value of a stage stands, items of lists included.
+/// Where each value of a stage stands, items of lists and their values included.
 fn origins(table: &Table) -> BTreeMap<String, Origin> {
     let mut origins = BTreeMap::new();
     for entry in &table.entries {
         origins.insert(entry.name.clone(), entry.node.origin.clone());
         for (index, item) in entry.node.list().unwrap_or_default().iter().enumerate() {
-            origins.insert(format!("{}[{index}]", entry.name), item.origin.clone());
+            let place = format!("{}[{index}]", entry.name);
+            for inner in item.table().into_iter().flat_map(|table| &table.entries) {
+                origins.insert(format!("{place}.{}", inner.name), inner.node.origin.clone());
+            }
+            origins.insert(place, item.origin.clone());
         }
     }
     origins

@@ -151,7 +151,9 @@ pub(crate) fn open_backend(backend: Backend, pipeline: &Pipeline) -> Result<Open
 pub(crate) fn version(kind: Kind) -> String {
     match kind {
         Kind::Merge => merge::VERSION.to_string(),
-        Kind::Simplify => format!("{}.{}", simplify::COLLAPSE_VERSION, simplify::LEVELS_VERSION),
+        Kind::Simplify => {
+            format!("{}.{}.{}", simplify::COLLAPSE_VERSION, simplify::PARTS_VERSION, simplify::LEVELS_VERSION)
+        }
         Kind::Atlas => atlas::VERSION.to_string(),
         Kind::Bake => bake::VERSION.to_string(),
         Kind::Pack => pack::VERSION.to_string(),

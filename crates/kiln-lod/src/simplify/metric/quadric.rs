@@ -234,6 +234,25 @@ impl Forms {
         }
     }
 
+    /// Brings the forms to where they stand after the collapses of a closed set alone.
+    pub(in crate::simplify) fn apply(&mut self, sequence: &CollapseSequence, applied: &[bool]) {
+        self.quadrics.copy_from_slice(&self.initial);
+        self.grown.fill(false);
+        // No prefix: whoever goes to one next starts anew.
+        self.applied = usize::MAX;
+        for Collapse { from, to, .. } in sequence.collapses.iter().zip(applied).filter(|c| *c.1).map(|c| c.0) {
+            let step = self.positions[*to as usize] - self.positions[*from as usize];
+            let moved = self.quadrics[*from as usize].about(step);
+            self.quadrics[*to as usize].add(&moved);
+            self.grown[*to as usize] = true;
+        }
+    }
+
+    /// The form of a point about its own place.
+    pub(in crate::simplify) fn form(&self, point: u32) -> Quadric {
+        self.quadrics[point as usize]
+    }
+
     /// The form of a point about its own place, if it has taken in another.
     pub(in crate::simplify) fn grown(&self, point: u32) -> Option<Quadric> {
         self.grown[point as usize].then(|| self.quadrics[point as usize])

@@ -13,7 +13,7 @@ fn the_example_of_the_design_meets_only_refusals_of_what_arrives_later() {
     let loaded = load_text(EXAMPLE, &[]);
     let said: Vec<(&str, &str)> =
         loaded.diagnostics.iter().map(|one| (one.code.as_str(), &EXAMPLE[one.span.clone()])).collect();
-    assert_eq!(said, [("key.unsupported", "texture-border"), ("key.unsupported", "submesh")]);
+    assert_eq!(said, [("key.unsupported", "texture-border")]);
     assert!(loaded.pipeline.is_none());
 }
 
@@ -22,14 +22,20 @@ fn the_example_without_what_arrives_later_is_read_in_full() {
     let mut text = EXAMPLE.to_owned();
     let border = text.find("texture-border").unwrap();
     text.replace_range(border..text[border..].find('\n').unwrap() + border, "");
-    let rules = text.find("[[stage.submesh]]").unwrap();
-    text.replace_range(rules..text.find("[[stage]]\nkind = \"atlas\"").unwrap(), "");
     let pipeline = good_text(&text, &[]);
 
     let ids: Vec<&str> = pipeline.stages.iter().map(|stage| stage.id.as_str()).collect();
     assert_eq!(ids, ["whole", "base", "atlas", "lods", "bake", "pack"]);
     assert_eq!(pipeline.stages[0].input, StageInput::Asset);
     assert_eq!(pipeline.stages[3].input, StageInput::Stage(2));
+    let StageSettings::Simplify(base) = &pipeline.stages[1].settings else { panic!() };
+    let rule = |name: &str, level| SubmeshRule { name: name.to_owned(), level };
+    let relative = RuleLevel::Relative { to: String::from("wheel*"), factor: 0.5 };
+    assert_eq!(
+        base.submesh.0,
+        [rule("wheel*", RuleLevel::Keep(0.5)), rule("badge", RuleLevel::Keep(1.0)), rule("rim", relative)]
+    );
+    assert_eq!(&text[pipeline.stages[1].origin("submesh[2].relative-to").span.clone()], "\"wheel*\"");
     let StageSettings::Simplify(lods) = &pipeline.stages[3].settings else { panic!() };
     assert_eq!(
         lods.levels,
@@ -162,12 +168,30 @@ fn the_resolved_form_reads_back_as_itself() {
     let pipeline = good_text(&text, &[]);
     let resolved = pipeline.to_resolved_toml();
     assert_eq!(good_text(&resolved, &[]).to_resolved_toml(), resolved);
-    let expected = "kiln = 1\n\n[asset]\ninput = \"models/**/*.glb\"\noutput = \"build/{path}.kiln\"\nallow-outside = false\nmax-file-size = 8192\nmax-triangles = 67108864\nmax-vertices = 67108864\nmax-submeshes = 1048576\nmax-node-depth = 4096\nmax-image-side = 16384\n\n[[stage]]\nid = \"merge\"\nkind = \"merge\"\nweld = \"1e-5 diag\"\nrepair = [\"duplicate-faces\", \"zero-normals\"]\n\n[[stage]]\nid = \"lods\"\nkind = \"simplify\"\nfrom = \"merge\"\nmetric = \"quadric\"\nplacement = \"half-edge\"\nnormals = \"keep\"\nnormal-angle = 30.0\nlevels = [{ keep = 0.5 }, { keep = 0.1 }]\n\n[[stage]]\nid = \"pack\"\nkind = \"pack\"\nfrom = \"lods\"\nlayouts = [\"discrete\"]\n\n[[override]]\nmatch = \"a/*\"\nset = { \"stage.lods.levels\" = [{ keep = 1e-9 }] }\n";
+    let expected = "kiln = 1\n\n[asset]\ninput = \"models/**/*.glb\"\noutput = \"build/{path}.kiln\"\nallow-outside = false\nmax-file-size = 8192\nmax-triangles = 67108864\nmax-vertices = 67108864\nmax-submeshes = 1048576\nmax-node-depth = 4096\nmax-image-side = 16384\n\n[[stage]]\nid = \"merge\"\nkind = \"merge\"\nweld = \"1e-5 diag\"\nrepair = [\"duplicate-faces\", \"zero-normals\"]\n\n[[stage]]\nid = \"lods\"\nkind = \"simplify\"\nfrom = \"merge\"\nmetric = \"quadric\"\nplacement = \"half-edge\"\nnormals = \"keep\"\nnormal-angle = 30.0\nlevels = [{ keep = 0.5 }, { keep = 0.1 }]\nboundary = \"along\"\nlock = []\nsubmesh = []\n\n[[stage]]\nid = \"pack\"\nkind = \"pack\"\nfrom = \"lods\"\nlayouts = [\"discrete\"]\n\n[[override]]\nmatch = \"a/*\"\nset = { \"stage.lods.levels\" = [{ keep = 1e-9 }] }\n";
     assert_eq!(resolved, expected);
     assert_eq!(
         good_text(SMALL, &[]).for_asset("a.glb").unwrap().to_resolved_json(),
-        "{\"kiln\":1,\"stage\":[{\"id\":\"merge\",\"kind\":\"merge\",\"weld\":\"1e-5 diag\",\"repair\":[\"duplicate-faces\",\"zero-normals\"]},{\"id\":\"lods\",\"kind\":\"simplify\",\"from\":\"merge\",\"metric\":\"quadric\",\"placement\":\"half-edge\",\"normals\":\"keep\",\"normal-angle\":30.0,\"levels\":[{\"keep\":0.5},{\"keep\":0.1}]},{\"id\":\"pack\",\"kind\":\"pack\",\"from\":\"lods\",\"layouts\":[\"discrete\"]}]}"
+        "{\"kiln\":1,\"stage\":[{\"id\":\"merge\",\"kind\":\"merge\",\"weld\":\"1e-5 diag\",\"repair\":[\"duplicate-faces\",\"zero-normals\"]},{\"id\":\"lods\",\"kind\":\"simplify\",\"from\":\"merge\",\"metric\":\"quadric\",\"placement\":\"half-edge\",\"normals\":\"keep\",\"normal-angle\":30.0,\"levels\":[{\"keep\":0.5},{\"keep\":0.1}],\"boundary\":\"along\",\"lock\":[],\"submesh\":[]},{\"id\":\"pack\",\"kind\":\"pack\",\"from\":\"lods\",\"layouts\":[\"discrete\"]}]}"
     );
+}
+
+#[test]
+fn rules_for_submeshes_are_taken_from_a_table_from_a_list_and_from_the_command_line() {
+    let rules = |pipeline: &Pipeline| {
+        let StageSettings::Simplify(options) = &pipeline.stages[1].settings else { panic!() };
+        options.submesh.0.clone()
+    };
+    let set = "stage.lods.submesh=[{ name = \"rim\", level = 1 }, { name = \"*\", relative-to = \"rim\", factor = 2 }]";
+    let pipeline = good_text(SMALL, &[set]);
+    let relative = RuleLevel::Relative { to: String::from("rim"), factor: 2.0 };
+    let expected = [
+        SubmeshRule { name: String::from("rim"), level: RuleLevel::Level(1) },
+        SubmeshRule { name: String::from("*"), level: relative },
+    ];
+    assert_eq!(rules(&pipeline), expected);
+    let resolved = pipeline.to_resolved_toml();
+    assert_eq!(rules(&good_text(&resolved, &[])), expected, "{resolved}");
 }
 
 #[test]

@@ -51,3 +51,31 @@ fn own_uvs_builds_every_fixture_and_keeps_its_textures() {
     let inspected = space.run(["inspect", "pipelines/build/own-uvs/pot.kiln", "--json"]).expect(0).json();
     assert!(inspected["textures"].as_array().is_some_and(|t| !t.is_empty()), "{inspected:#}");
 }
+
+#[test]
+fn texture_border_builds_and_draws_its_borders_without_a_trace_in_the_cache() {
+    let space = copied("texture-border.toml");
+    let args = ["build", "pipelines/texture-border.toml", "--json"];
+    let report = space.run(args).expect(0).json();
+    let stages = report["assets"][0]["stages"].as_array().unwrap();
+    let counts = |stage: &serde_json::Value| stage["report"]["texture_border"].clone();
+    let counted = stages.iter().map(counts).find(|c| !c.is_null()).expect("the collapse counts its borders");
+    let (edges, affected) = (counted["edges"].as_u64().unwrap(), counted["affected"].as_u64().unwrap());
+    assert!(affected > 0 && affected < edges, "{counted:#}");
+
+    // Everything is fresh, and the pictures come all the same.
+    let container = space.read("pipelines/build/texture-border/pot.kiln");
+    let drawn = space.run([&args[..], &["--debug-images", "borders"]].concat()).expect(0).json();
+    assert_eq!(drawn["fresh"], true, "a debug flag makes nothing stale");
+    let pictures = counted["pictures"].as_array().unwrap().len();
+    let folder: Vec<_> = fs::read_dir(space.path("borders")).unwrap().map(|e| e.unwrap().path()).collect();
+    assert_eq!(folder.len(), pictures, "{folder:?}");
+    for path in folder {
+        let picture = image::open(&path).unwrap().into_rgb8();
+        for colour in [[255; 3], [40, 110, 230]] {
+            assert!(picture.pixels().any(|p| p.0 == colour), "{}: no {colour:?}", path.display());
+        }
+    }
+    assert_eq!(space.read("pipelines/build/texture-border/pot.kiln"), container);
+    assert_eq!(space.run(args).expect(0).json()["fresh"], true);
+}

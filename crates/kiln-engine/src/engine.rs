@@ -149,6 +149,11 @@ impl Engine {
         Ok(session.why(target))
     }
 
+    /// The bytes of an output that a record names, out of the store; `None` if they are no longer there.
+    pub fn blob(&self, hash: &ContentHash) -> Option<Arc<[u8]>> {
+        self.store.blob(hash)
+    }
+
     /// After a build that succeeded: lets [`Engine::fast_noop_check`] answer from now on. Returns whether it could: not if a
     /// file was written within the clock's granularity (the next build tries again), nor without a fast check before.
     ///

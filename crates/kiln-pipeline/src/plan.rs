@@ -6,7 +6,7 @@
 //! ```text
 //! import            -> mesh, materials, image/N
 //! merge             <- mesh                                    -> mesh
-//! simplify          <- mesh or levels, materials if locked     -> sequence
+//! simplify          <- mesh or levels, materials if locked, images with texture borders -> sequence
 //!   parts           <- mesh or levels, sequence                -> dependencies; where there are rules for submeshes
 //!   levels          <- mesh or levels, sequence, dependencies, source mesh -> levels
 //! atlas             <- levels                                  -> levels
@@ -25,7 +25,7 @@ use crate::language::{
     self, AssetBuild, Diagnostic, DirEntry, Family, Pipeline, RelativeTo, ResolvedPipeline, Sources, Stage, StageInput,
     StageSettings, has_errors,
 };
-use crate::stages::{self, Backend, XatlasWorker};
+use crate::stages::{self, Backend, TextureBorderView, XatlasWorker};
 
 /// What makes a plan beside the pipeline's text.
 #[derive(Clone, Default)]
@@ -53,6 +53,8 @@ pub struct PlannedAsset {
     pub actions: Vec<(usize, String)>,
     /// The pipeline as it holds for this model, every default filled, as TOML.
     pub resolved: String,
+    /// Its collapses with `texture-border`, for debug pictures.
+    pub texture_borders: Vec<TextureBorderView>,
 }
 
 /// A plan and what it was made from.
@@ -242,6 +244,7 @@ impl Planner<'_> {
         let import = self.push(stages::import::action(id("import"), label("import"), &input, &pipeline.asset.options));
         let mut actions = vec![(import, "import".to_owned())];
         let mut results: Vec<Placed> = Vec::new();
+        let mut texture_borders = Vec::new();
         let mut container = import;
         for stage in &resolved.stages {
             let before = match stage.input {
@@ -258,6 +261,7 @@ impl Planner<'_> {
                     let inputs = stages::simplify::Inputs {
                         before: before.source(),
                         materials: Source::output(before.materials, "materials"),
+                        images: Source::outputs(before.materials, "image/"),
                     };
                     let collapse = stages::simplify::collapse_action(
                         format!("{id}/collapse"),
@@ -266,6 +270,10 @@ impl Planner<'_> {
                         &inputs,
                     );
                     let collapse = self.push(collapse);
+                    if let Some(options) = &options.texture_border {
+                        let (stage, options) = (stage.id.clone(), options.clone());
+                        texture_borders.push(TextureBorderView { action: collapse, stage, options });
+                    }
                     actions.push((collapse, format!("{}, collapse", stage.id)));
                     let sequence = Source::output(collapse, "sequence");
                     let rules = rules_of(stage, &resolved.stages);
@@ -324,7 +332,7 @@ impl Planner<'_> {
         }
         let target = self.plan.targets.len();
         self.plan.targets.push(Target { path: output.clone(), action: container, output: "container".into() });
-        PlannedAsset { input, output, target, actions, resolved: resolved.to_resolved_toml() }
+        PlannedAsset { input, output, target, actions, resolved: resolved.to_resolved_toml(), texture_borders }
     }
 }
 

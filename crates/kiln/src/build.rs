@@ -14,6 +14,7 @@ use kiln_pipeline::stages::{Backend, StageError};
 use serde::Serialize;
 use serde_json::Value;
 
+use crate::debug_images::{StagePicture, debug_pictures};
 use crate::summary::{AssetSummary, StageState, StageSummary, Summary};
 use crate::{memory, worker};
 
@@ -34,6 +35,8 @@ pub struct Build {
     pub keep_going: bool,
     /// Say what would run, run nothing.
     pub dry_run: bool,
+    /// Draw debug pictures of the stages that have any, fresh ones too. Changes nothing else.
+    pub debug_pictures: bool,
     /// Set it to stop soon; nothing half is kept.
     pub cancel: Arc<AtomicBool>,
 }
@@ -49,6 +52,8 @@ pub struct Outcome {
     pub sources: Arc<Sources>,
     /// Whether it was cancelled.
     pub cancelled: bool,
+    /// Where [`Build::debug_pictures`] asked for them.
+    pub pictures: Vec<StagePicture>,
 }
 
 /// Why a build could not begin. What a single stage meets is in the summary.
@@ -73,6 +78,7 @@ impl Build {
             jobs: None,
             keep_going: false,
             dry_run: false,
+            debug_pictures: false,
             cancel: Arc::default(),
         }
     }
@@ -119,10 +125,17 @@ impl Build {
         if !self.dry_run
             && self.cache_folder().is_dir()
             && let Some(note) = engine.fast_noop_check(&root, &key)
+            && !self.debug_pictures
             && let Ok(mut summary) = serde_json::from_slice::<Summary>(&note)
         {
             summary.seconds = start.elapsed().as_secs_f64();
-            return Ok(Outcome { summary, diagnostics: Vec::new(), sources: Arc::default(), cancelled: false });
+            return Ok(Outcome {
+                summary,
+                diagnostics: Vec::new(),
+                sources: Arc::default(),
+                cancelled: false,
+                pictures: Vec::new(),
+            });
         }
         let planned = self.plan()?;
         let defaults = BuildOptions::default();
@@ -139,13 +152,19 @@ impl Build {
         let mut summary = summarise(&self.pipeline, &planned, &report, &peaks);
         if !self.dry_run && report.succeeded() {
             let note = serde_json::to_vec(&as_fresh(&summary)).expect("invariant: a summary is plain data");
-            let noop = Noop { key, files: planned.files, folders: planned.folders, note };
+            let noop = Noop { key, files: planned.files.clone(), folders: planned.folders.clone(), note };
             if let Err(error) = engine.remember_noop(&planned.plan, &report, &noop) {
                 summary.warnings.push(error.to_string());
             }
         }
+        let (pictures, missing) = match self.debug_pictures && !self.dry_run {
+            true => debug_pictures(&engine, &planned, &report),
+            false => Default::default(),
+        };
+        summary.warnings.extend(missing);
         summary.seconds = start.elapsed().as_secs_f64();
-        Ok(Outcome { summary, diagnostics: planned.warnings, sources: planned.sources, cancelled: report.cancelled })
+        let Planned { warnings, sources, .. } = planned;
+        Ok(Outcome { summary, diagnostics: warnings, sources, cancelled: report.cancelled, pictures })
     }
 }
 

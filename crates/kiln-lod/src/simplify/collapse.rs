@@ -94,6 +94,27 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
         self.out
     }
 
+    /// The order of [`Collapser::run`] the plain way: at every step all legal collapses are priced anew.
+    #[cfg(test)]
+    pub(super) fn naive_order(mut self) -> Vec<[u32; 2]> {
+        loop {
+            let mut best: Option<(u64, u32)> = None;
+            for from in 0..self.work.points.len() as u32 {
+                self.price(from);
+                for (rank, to) in self.targets.clone() {
+                    let offered = (entry(rank, from), to);
+                    if best.is_none_or(|b| offered < b) && self.work.test(from, to).is_none() {
+                        best = Some(offered);
+                    }
+                }
+            }
+            let Some((front, to)) = best else { break };
+            self.work.test(front as u32, to);
+            self.collapse(front as u32, to);
+        }
+        self.out.collapses.iter().map(|c| [c.from, c.to]).collect()
+    }
+
     fn price_all(&mut self) {
         let cheapest = |p: u32| {
             let mut targets = Vec::new();
@@ -157,6 +178,9 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
 
     /// Puts `p` into the queue with the cost of its cheapest target, legal or not.
     fn price(&mut self, p: u32) {
+        if M::FALLS {
+            self.metric.star_changed(&self.work, p);
+        }
         find_targets(&self.work, &self.metric, p, &mut self.targets);
         match self.targets.iter().min() {
             Some((rank, to)) => self.enqueue(p, *rank, *to, State::Queued),

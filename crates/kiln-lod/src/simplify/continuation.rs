@@ -18,9 +18,9 @@
 
 use kiln_asset::{Mesh, QuadricCoefficients};
 
+use super::cut::{PartCut, Stop, Want, cut_by_parts};
 use super::metric::quadric::{Forms, Quadric};
 use super::sequence::Replayed;
-use super::cut::{PartCut, Stop, Want, cut_by_parts};
 use super::{CollapseSequence, Dependencies, SimplifyOptions, collapse_prepared, points_of};
 use crate::topology::{NONE, PointKind, Topology};
 

@@ -20,7 +20,7 @@
 //! ```
 //! Since the b_i of a place sum to 1, the `A_i` bound the true normal matrix from above: no sweep makes the sum of squares
 //! larger. The form keeps edges of the shape sharp and speaks where samples are few; along the surface nothing pulls. Samples of
-//! an open border pull across its edges only, so borders keep course and length. The order of collapses hardly depends on
+//! borders, seams and boundaries pull across these lines' edges only, so lines keep course and length. The order of collapses hardly depends on
 //! places, so the log stays free of them, and one log serves both placements.
 //!
 //! Points that took in none stay, bit for bit. Seams and junctions of a mesh with an atlas stay, too: levels share its maps. A
@@ -68,29 +68,29 @@ const ATTRIBUTE_SWEEPS: usize = 8;
 pub(super) struct Samples {
     /// A third of the area of its faces.
     area: Vec<f64>,
-    /// Square of half the length of the border edges at it; 0 inside.
-    border: Vec<f64>,
+    /// Square of half the length of the border, seam and boundary edges at it; 0 inside.
+    line: Vec<f64>,
 }
 
 impl Samples {
     pub(super) fn new(mesh: &Mesh, topology: &Topology) -> Samples {
         let mut area = vec![0.0; mesh.vertex_count()];
-        let mut border = vec![0.0; mesh.vertex_count()];
+        let mut line = vec![0.0; mesh.vertex_count()];
         for (triangle, kinds) in mesh.triangles.iter().zip(&topology.edge_kinds) {
             let corners = triangle.map(|v| mesh.positions[v as usize].as_dvec3());
             let third = (corners[1] - corners[0]).cross(corners[2] - corners[0]).length() / 6.0;
             for (k, v) in triangle.iter().enumerate() {
                 area[*v as usize] += third;
-                if kinds[k] == EdgeKind::Border {
+                if !matches!(kinds[k], EdgeKind::Manifold | EdgeKind::Complex) {
                     let next = (k + 1) % 3;
                     let half = 0.5 * corners[k].distance(corners[next]);
-                    border[*v as usize] += half;
-                    border[triangle[next] as usize] += half;
+                    line[*v as usize] += half;
+                    line[triangle[next] as usize] += half;
                 }
             }
         }
-        border.iter_mut().for_each(|length| *length *= *length);
-        Samples { area, border }
+        line.iter_mut().for_each(|length| *length *= *length);
+        Samples { area, line }
     }
 }
 
@@ -115,7 +115,8 @@ pub(super) fn fit(
             _ => *form,
         })
         .collect();
-    let chosen = (0..heirs.len() as u32).filter(|v| heirs[*v as usize] != NONE && samples.area[*v as usize] > 0.0).collect();
+    let chosen =
+        (0..heirs.len() as u32).filter(|v| heirs[*v as usize] != NONE && samples.area[*v as usize] > 0.0).collect();
     let point_of: Vec<u32> = level.points.iter().map(|p| p.0).collect();
     let mut raw = level.into_raw();
     let fit = Fit { source, samples, heirs: &heirs, topology: &topology, point_of: &point_of, chosen };
@@ -197,7 +198,7 @@ impl Fit<'_> {
                         }
                     }
                 }
-                self.pull_borders(&at, &mut pulls);
+                self.pull_lines(&at, &mut pulls);
                 for (p, form) in forms.iter().enumerate() {
                     if let Some(step) = form.and_then(|form| pulls[p].with(&form, at[p] - start[p]).step()) {
                         at[p] = middle[p] + (at[p] + step - middle[p]).clamp_length_max(reach[p]);
@@ -230,7 +231,8 @@ impl Fit<'_> {
             let bary = place.bary.map(f64::from);
             let normal = (b - a).cross(c - a).normalize_or_zero();
             let rim = bary.iter().any(|b| *b <= 0.0);
-            let direction = if rim { (x - (a * bary[0] + b * bary[1] + c * bary[2])).normalize_or(normal) } else { normal };
+            let direction =
+                if rim { (x - (a * bary[0] + b * bary[1] + c * bary[2])).normalize_or(normal) } else { normal };
             let weight = self.samples.area[*v as usize];
             (Some((Tie { points, bary, direction, along: direction.dot(x), weight }, rim)), place.distance)
         };
@@ -244,17 +246,18 @@ impl Fit<'_> {
         found.into_iter().filter_map(|(tie, d)| tie.filter(|(_, rim)| !rim || d <= limit).map(|(tie, _)| tie)).collect()
     }
 
-    /// Border samples pull the nearer of the border edges at their heir towards them, across it.
-    fn pull_borders(&self, at: &[DVec3], pulls: &mut [Pull]) {
+    /// Samples on lines pull the nearer of the line's edges at their heir towards them, across it.
+    fn pull_lines(&self, at: &[DVec3], pulls: &mut [Pull]) {
         for v in &self.chosen {
-            let weight = self.samples.border[*v as usize];
+            let weight = self.samples.line[*v as usize];
             let p = self.point_of[self.heirs[*v as usize] as usize];
-            if weight <= 0.0 || self.topology.kinds[p as usize] != PointKind::Border {
+            let line = self.topology.lines[p as usize];
+            if weight <= 0.0 || line == [NONE; 2] {
                 continue;
             }
             let (x, a) = (self.place_of_sample(*v), at[p as usize]);
             let mut best: Option<(f64, u32, f64)> = None;
-            for q in self.topology.lines[p as usize] {
+            for q in line {
                 let along = at[q as usize] - a;
                 let square = along.length_squared();
                 let t = if square > 0.0 { ((x - a).dot(along) / square).clamp(0.0, 1.0) } else { 0.0 };
@@ -285,12 +288,8 @@ impl Fit<'_> {
             at[*p as usize] = raw.positions[v].as_dvec3();
         }
         let triangles = std::mem::take(&mut raw.triangles);
-        let stars = Stars {
-            face_points: &self.topology.face_points,
-            face_nodes: &triangles,
-            first: &first,
-            corners: &corners,
-        };
+        let stars =
+            Stars { face_points: &self.topology.face_points, face_nodes: &triangles, first: &first, corners: &corners };
         let place = |v: &u32| stars.nearest(&at, self.heirs[*v as usize], self.place_of_sample(*v));
         let places: Vec<Place> = self.chosen.par_iter().map(place).collect();
         let loose: Vec<bool> = self.point_of.iter().map(|p| forms[*p as usize].is_some()).collect();

@@ -253,14 +253,7 @@ fn replay(mesh: &Mesh, sequence: &CollapseSequence, forms: &mut Forms, count: us
 }
 
 /// The level with its points where they shall stand; the forms must stand at its cut. `held`: empty, or `[submesh_count]`.
-fn placed(
-    mesh: &Mesh,
-    samples: &Samples,
-    cut: Replayed,
-    forms: &Forms,
-    placement: Placement,
-    held: &[bool],
-) -> Mesh {
+fn placed(mesh: &Mesh, samples: &Samples, cut: Replayed, forms: &Forms, placement: Placement, held: &[bool]) -> Mesh {
     if placement == Placement::HalfEdge {
         return cut.level;
     }
@@ -510,13 +503,7 @@ impl Made {
 }
 
 /// The cut of `mesh` with its points where they shall stand; those of submeshes that have all their faces stay.
-fn place_standing(
-    mesh: &Mesh,
-    samples: &Samples,
-    standing: &Standing,
-    placement: Placement,
-    before: &[u32],
-) -> Mesh {
+fn place_standing(mesh: &Mesh, samples: &Samples, standing: &Standing, placement: Placement, before: &[u32]) -> Mesh {
     if placement == Placement::HalfEdge {
         return standing.mesh.clone();
     }

@@ -46,19 +46,25 @@ mod metric;
 pub mod parts;
 pub mod rules;
 pub mod sequence;
+pub mod texture_border;
 mod uv_border;
 mod working;
 
 use kiln_asset::{Mesh, QuadricCoefficients, UvLayout};
 
 use crate::topology::Topology;
+use collapse::Collapser;
+use metric::bordered::Bordered;
 use metric::quadric::{Forms, QuadricMetric};
 use working::Working;
 
 pub use dependencies::Dependencies;
 pub use error::surface_error;
-pub use levels::{Budget, LevelReport, LevelsOptions, Parts, Placement, SimplifyReport, cut, levels, levels_by_parts, simplify};
+pub use levels::{
+    Budget, LevelReport, LevelsOptions, Parts, Placement, SimplifyReport, cut, levels, levels_by_parts, simplify,
+};
 pub use sequence::{Collapse, CollapseSequence, SequenceReport};
+pub use texture_border::{BorderCost, TextureBorderOptions, TextureBorders};
 
 /// How to collapse. All are unitless.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -118,24 +124,54 @@ pub fn collapse(
     layout: Option<&UvLayout>,
     options: &SimplifyOptions,
 ) -> CollapseSequence {
-    collapse_but(mesh, carried, layout, options, &[])
+    collapse_under(mesh, carried, layout, options, &Conditions::default())
 }
 
-/// As [`collapse`], but no face of the submeshes `locked` (empty, or `[submesh_count]`) changes.
-pub fn collapse_but(
+/// What bears on a sequence beside its options.
+#[derive(Clone, Copy, Default)]
+pub struct Conditions<'a> {
+    /// Empty, or `[submesh_count]`: no face of these submeshes changes.
+    pub locked: &'a [bool],
+    /// Collapses that would move these borders of textures cost more.
+    pub borders: Option<&'a TextureBorders>,
+}
+
+/// As [`collapse`], under conditions.
+pub fn collapse_under(
     mesh: &Mesh,
     carried: &[QuadricCoefficients],
     layout: Option<&UvLayout>,
     options: &SimplifyOptions,
-    locked: &[bool],
+    conditions: &Conditions<'_>,
 ) -> CollapseSequence {
     let topology = Topology::new(mesh);
     let forms = Forms::new(mesh, &topology, carried, options);
-    let locked = if locked.contains(&true) { points_of(mesh, locked) } else { Vec::new() };
-    collapse_prepared(mesh, &topology, &forms, layout, options, &locked)
+    let locked = if conditions.locked.contains(&true) { points_of(mesh, conditions.locked) } else { Vec::new() };
+    let (work, metric) = prepared(mesh, &topology, &forms, layout, options, &locked);
+    match conditions.borders {
+        None => Collapser::new(mesh, work, metric, options).run(),
+        Some(borders) => {
+            let metric = Bordered::new(metric, mesh, borders, &work);
+            Collapser::new(mesh, work, metric, options).run()
+        }
+    }
 }
 
-/// `locked`: empty, or `[point_count]`.
+/// The mesh to work on and its metric. `locked`: empty, or `[point_count]`.
+fn prepared<'a>(
+    mesh: &'a Mesh,
+    topology: &Topology,
+    forms: &Forms,
+    layout: Option<&UvLayout>,
+    options: &'a SimplifyOptions,
+    locked: &[bool],
+) -> (Working<'a>, QuadricMetric) {
+    let mut work = Working::new(mesh, topology, forms.positions(), layout, options);
+    work.lock(locked);
+    let metric = QuadricMetric::new(mesh, forms.initial().to_vec(), &mut work, options);
+    (work, metric)
+}
+
 fn collapse_prepared(
     mesh: &Mesh,
     topology: &Topology,
@@ -144,10 +180,8 @@ fn collapse_prepared(
     options: &SimplifyOptions,
     locked: &[bool],
 ) -> CollapseSequence {
-    let mut work = Working::new(mesh, topology, forms.positions(), layout, options);
-    work.lock(locked);
-    let metric = QuadricMetric::new(mesh, forms.initial().to_vec(), &mut work, options);
-    collapse::Collapser::new(mesh, work, metric, options).run()
+    let (work, metric) = prepared(mesh, topology, forms, layout, options, locked);
+    Collapser::new(mesh, work, metric, options).run()
 }
 
 /// `[point_count]`: whether a face of a submesh in `chosen` is at the point.

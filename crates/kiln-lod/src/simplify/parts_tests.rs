@@ -416,7 +416,8 @@ fn boundaries_go_along_or_last_or_never() {
 fn locked_submeshes_are_left_alone_by_the_log_and_by_placement() {
     let mesh = fixtures::quilt(3, 3, 8, waves);
     let locked: Vec<bool> = (0..9).map(|s| s == 4).collect();
-    let sequence = collapse_but(&mesh, &[], None, &SimplifyOptions::default(), &locked);
+    let conditions = Conditions { locked: &locked, ..Conditions::default() };
+    let sequence = collapse_under(&mesh, &[], None, &SimplifyOptions::default(), &conditions);
     let options = LevelsOptions { samples: 5_000, placement: Placement::Free, ..LevelsOptions::default() };
     let parts = Parts { locked: &locked, ..Parts::default() };
     let (set, _) = levels_by_parts(&mesh, &[], &sequence, &mesh, &[Budget::Triangles(0)], &options, &parts);

@@ -79,7 +79,10 @@ fn free_placement_takes_attributes_along_and_flips_nothing() {
         let expected = glam::Vec2::new(p.x, p.y) / 48.0;
         // A point that moves off its faces takes the nearest place on them: a hundredth of the sheet is half a coarse face.
         let inside = uv.max(glam::Vec2::ZERO);
-        assert!(uv.distance(expected) < 0.01 && color.truncate().truncate().distance(inside) < 1e-5, "{p}: {uv}, {color}");
+        assert!(
+            uv.distance(expected) < 0.01 && color.truncate().truncate().distance(inside) < 1e-5,
+            "{p}: {uv}, {color}"
+        );
     }
     let uvs = free.uv0.as_ref().unwrap();
     for triangle in &free.triangles {

@@ -4,11 +4,12 @@
 //! to its end with room to grow when they outgrow their place.
 
 use glam::{DVec3, Vec2, Vec3};
-use kiln_asset::{Mesh, UvLayout};
+use kiln_asset::{Mesh, SubmeshId, UvLayout};
 
 use super::collapse::State;
 use super::heap::rank;
 use super::rules::Rule;
+use super::texture_border::StarFace;
 use super::uv_border::UvBorder;
 use super::{Boundary, SimplifyOptions};
 use crate::topology::{NONE, PointKind, Topology, is_degenerate, same_chart};
@@ -187,6 +188,21 @@ impl<'a> Working<'a> {
         // The sign bit of a cost is free: with it set, a rank lies behind all others.
         let last = self.options.boundary == Boundary::Last && self.points[from as usize].kind == PointKind::Boundary;
         rank(cost) | u32::from(last) << 31
+    }
+
+    /// The faces at `from`, as the texture-border extension reads them.
+    pub(super) fn star(&self, from: u32, to: u32) -> impl Iterator<Item = StarFace> + Clone + '_ {
+        self.corners(from).iter().map(move |corner| {
+            let (face, k) = (&self.faces[*corner as usize / 3], *corner as usize % 3);
+            let around = [k, (k + 1) % 3, (k + 2) % 3];
+            let wedges = around.map(|i| face.wedges[i]);
+            StarFace {
+                submesh: SubmeshId(self.submesh[wedges[0] as usize]),
+                wedges,
+                places: around.map(|i| self.points[face.points[i] as usize].position.as_dvec3()),
+                to: (1..3).find(|i| face.points[around[*i]] == to),
+            }
+        })
     }
 
     /// The point beside `from` on its line that is not `to`.

@@ -6,7 +6,7 @@ use super::diagnostic::{Code, Report};
 use super::dom::{Data, Node};
 use super::length::Length;
 use super::setting::{
-    Choice, Key, Options, Setting, Shape, check_keys, choices, choose, mistyped, options, read_within,
+    Choice, FromTable, Key, Options, Setting, Shape, check_keys, choices, choose, mistyped, options, read_within,
 };
 use super::value::Value;
 
@@ -63,8 +63,7 @@ choices! {
     pub enum Placement {
         /// On the end that stays: no new positions, so levels can share one vertex buffer.
         "half-edge" => HalfEdge,
-        /// Where the metric is least, inside patches and on open borders; attributes follow. A third less error, vertices of its own
-        /// for every level.
+        /// Where the level lies nearest to its source; attributes follow. Half the error, vertices of its own for every level.
         "free" => Free,
     }
 }
@@ -78,6 +77,16 @@ choices! {
         "last" => Last,
         /// Never.
         "lock" => Lock,
+    }
+}
+
+choices! {
+    /// What a collapse near a texture border pays by.
+    pub enum BorderCost {
+        /// How far it moves the texture along the surface, and on how much of it.
+        "shift" => Shift,
+        /// The share of the mesh's area on the edge, if the edge itself crosses a border: the published form.
+        "area" => Area,
     }
 }
 
@@ -233,6 +242,8 @@ options! {
     pub struct SimplifyOptions {
         /// What an edge costs.
         "metric" => metric: MetricChoice, default(MetricChoice(Metric::Quadric));
+        /// Whether sliding texture coordinates, normals and colours have a price, beside the surface.
+        "attributes" => attributes: bool, default(true);
         /// Where the kept point of a collapse stands.
         "placement" => placement: Placement, default(Placement::HalfEdge);
         /// What becomes of the input's normals.
@@ -249,10 +260,28 @@ options! {
         "lock" => lock: Globs, default(Globs::default());
         /// Rules for submeshes with budgets of their own, each `[[stage.submesh]]`; they hold for all later simplify stages.
         "submesh" => submesh: SubmeshRules, default(SubmeshRules::default());
-        later {
-            /// Raises the cost of edges that cross a border in a texture.
-            "texture-border";
-        }
+        /// Raises the cost of edges that cross a border in a texture, so that what is painted there stays in place longer.
+        "texture-border" => texture_border: Option<TextureBorder>, derived("off");
+    }
+}
+
+options! {
+    /// What counts as a texture border and what crossing one costs.
+    pub struct TextureBorder {
+        /// Map of the materials whose borders count, or a list of maps.
+        "map" => maps: MapList, default(MapList(vec![MapName::BaseColor]));
+        /// Texels over which a picture is smoothed before borders are looked for.
+        "sigma" => sigma: f64, default(0.75), within 0..=16;
+        /// Low threshold, as a share of the high one: weaker borders go nowhere.
+        "low" => low: f64, default(0.5), within 0..=1;
+        /// High threshold: the share of possible borders that are too weak to begin one.
+        "high" => high: f64, default(0.6), within 0..=1;
+        /// What a collapse near a border pays by.
+        "cost" => cost: BorderCost, default(BorderCost::Shift);
+        /// Factor on what it pays.
+        "weight" => weight: f64, default(1.0), within 0..=1_000_000;
+        /// Longest side in texels of a picture when borders are looked for; larger ones are halved first.
+        "side" => side: u32, default(512), within 16..=4096;
     }
 }
 
@@ -567,6 +596,52 @@ impl Setting for MetricChoice {
 
     fn write(&self) -> Value {
         self.0.write()
+    }
+}
+
+/// One map or a list of maps.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct MapList(pub Vec<MapName>);
+
+impl Setting for MapList {
+    fn shape() -> Shape {
+        Vec::<MapName>::shape()
+    }
+
+    fn read(node: &Node, report: &mut Report) -> Option<Self> {
+        match node.data {
+            Data::Text(_) => MapName::read(node, report).map(|map| MapList(vec![map])),
+            _ => Vec::<MapName>::read(node, report).map(MapList),
+        }
+    }
+
+    fn write(&self) -> Value {
+        self.0.write()
+    }
+}
+
+impl Setting for TextureBorder {
+    fn shape() -> Shape {
+        Shape::Table("any of map, sigma, low, high, cost, weight and side")
+    }
+
+    fn read(node: &Node, report: &mut Report) -> Option<Self> {
+        let Some(table) = node.table() else {
+            let help = match &node.data {
+                Data::Text(map) => format!("write {{ map = \"{map}\" }}"),
+                Data::List(_) => String::from("write { map = [ ... ] }"),
+                Data::Boolean(false) => String::from("leave the key out"),
+                _ => String::from("for example { map = \"base-color\" }; {} has all defaults"),
+            };
+            mistyped(node, "a table", Some(help), report);
+            return None;
+        };
+        check_keys(table, &TextureBorder::keys(), "`texture-border`", &node.origin, &|_| None, report);
+        Some(TextureBorder::from_table(table, report))
+    }
+
+    fn write(&self) -> Value {
+        Value::Table(self.values())
     }
 }
 

@@ -130,7 +130,7 @@ fn warnings(report: &BakeReport) -> Vec<String> {
     list
 }
 
-fn role(map: MapName) -> MapRole {
+pub(super) fn role(map: MapName) -> MapRole {
     match map {
         MapName::Normal => MapRole::Normal,
         MapName::BaseColor => MapRole::BaseColor,

@@ -21,6 +21,7 @@ use serde::Serialize;
 pub use atlas::XatlasWorker;
 pub use kiln_lod::merge::Survey as MeshSurvey;
 pub use merge::{Repaired as MergeRepaired, Report as MergeSummary, preview as preview_merge};
+pub use simplify::{DebugPicture, TextureBorderView};
 
 use crate::language::options::Kind;
 use crate::language::value::Value as Setting;
@@ -47,6 +48,9 @@ pub enum StageError {
     /// A stage's result breaks its own post-condition: a defect of kiln.
     #[error("{0}")]
     Defect(String),
+    /// A picture cannot be read.
+    #[error("a picture cannot be read: {0}")]
+    Picture(String),
     /// No GPU where one was asked for.
     #[error("{0}")]
     Gpu(String),
@@ -90,11 +94,15 @@ pub(crate) fn params(settings: &StageSettings, not: &[&str]) -> Vec<(String, Val
 
 /// The input `name` as levels; a mesh, as merge gives it, is one level without error.
 pub(crate) fn load_levels(context: &Context<'_>, name: &str) -> Result<LodSet, ActionError> {
-    let bytes = context.input(name)?;
+    Ok(levels_of(&context.input(name)?).map_err(StageError::Blob)?)
+}
+
+/// Levels, or a mesh as one level, out of a stage's bytes.
+pub(crate) fn levels_of(bytes: &[u8]) -> Result<LodSet, BlobError> {
     if bytes.starts_with(b"LODS") {
-        return Ok(LodSet::from_blob(&bytes).map_err(StageError::Blob)?);
+        return LodSet::from_blob(bytes);
     }
-    let mesh = Mesh::from_blob(&bytes).map_err(StageError::Blob)?;
+    let mesh = Mesh::from_blob(bytes)?;
     let source_triangles = mesh.submeshes.iter().map(|s| s.source_triangles).sum();
     let level = kiln_asset::Level { mesh, error: 0.0, quadrics: Vec::new() };
     Ok(LodSet { levels: vec![level], layout: None, source_triangles })

@@ -1,25 +1,32 @@
 //! `simplify`: two actions, three under rules for submeshes. `collapse` records one collapse sequence to exhaustion, whatever the
 //! levels; `parts` finds what each collapse rests on; `levels` cuts them out of it. So a changed level replays the sequence and
-//! simplifies nothing anew. Where a cut by parts has to be continued, that is a part of `levels`, and its report says so.
+//! simplifies nothing anew. Where a cut by parts has to be continued, that is a part of `levels`, and its report says so. With
+//! `texture-border` the first reads the materials' pictures, too.
 
-use kiln_asset::{LodSet, MaterialSet, Mesh};
+use std::sync::Arc;
+
+use kiln_asset::{BlobError, ImageId, LodSet, MaterialSet, Mesh, Raster};
 use kiln_engine::{Action, ActionError, Context, Outputs, Source};
 use kiln_lod::normals;
 use kiln_lod::simplify::parts::{PartLevel, PartRule, matches, unmatched};
+use kiln_lod::simplify::texture_border::{TextureBorderReport, debug_picture};
 use kiln_lod::simplify::{
-    Boundary, Budget, CollapseSequence, Dependencies, LevelsOptions, Parts, Placement, SimplifyOptions, SimplifyReport,
-    collapse_but, levels_by_parts,
+    BorderCost, Boundary, Budget, CollapseSequence, Conditions, Dependencies, LevelsOptions, Parts, Placement,
+    SequenceReport, SimplifyOptions, SimplifyReport, TextureBorderOptions, TextureBorders, collapse_under,
+    levels_by_parts,
 };
 use serde::Serialize;
 
-use super::{StageError, json, load_levels, load_materials, params};
+use super::bake::role;
+use super::pack::Pictures;
+use super::{StageError, json, load_images, load_levels, load_materials, params};
 use crate::foreign;
 use crate::language::diagnostic::suggest;
 use crate::language::options::{self, BoundaryRule, Normals, RuleLevel, SubmeshRule};
 use crate::language::{LevelBudget, StageSettings};
 
 /// Raised whenever the same input and parameters give another collapse sequence.
-pub(crate) const COLLAPSE_VERSION: u32 = 1;
+pub(crate) const COLLAPSE_VERSION: u32 = 2;
 /// Raised whenever the same sequence gives other dependencies.
 pub(crate) const PARTS_VERSION: u32 = 1;
 /// Raised whenever the same sequence and parameters give other levels.
@@ -39,6 +46,8 @@ pub(crate) struct Inputs {
     pub(crate) before: Source,
     /// Its materials.
     pub(crate) materials: Source,
+    /// Their images.
+    pub(crate) images: Source,
 }
 
 /// Output: `sequence`.
@@ -49,20 +58,21 @@ pub(crate) fn collapse_action(
     inputs: &Inputs,
 ) -> Action {
     let own = options.clone();
-    let mut action = Action::new(id, "simplify", COLLAPSE_VERSION, move |context| {
-        let set = load_levels(context, "in")?;
-        let Some(finest) = set.levels.first() else { return Err(no_level()) };
-        let locked = locked(context, &own, &finest.mesh)?;
-        let how = collapse_options(&own);
-        let sequence = collapse_but(&finest.mesh, &finest.quadrics, set.layout.as_ref(), &how, &locked);
-        Ok(Outputs::new().with("sequence", sequence.to_blob()).report(json(sequence.report())))
-    })
-    .input("in", inputs.before.clone());
+    let mut action = Action::new(id, "simplify", COLLAPSE_VERSION, move |context| record(context, &own))
+        .input("in", inputs.before.clone());
     action.label = label;
     action.params = params(&StageSettings::Simplify(options.clone()), &LEVEL_KEYS);
     action.foreign = vec![foreign::GLAM.into()];
+    if options.texture_border.is_some() {
+        action = action.input("images", inputs.images.clone());
+        action.foreign.extend([foreign::BASISU, foreign::IMAGE, foreign::LIBM].map(Into::into));
+    } else {
+        // What is not asked for leaves no trace in the fingerprint.
+        action.params.retain(|(name, _)| name != "texture-border");
+    }
     action.numeric_class = Some(foreign::NUMERIC_CLASS.into());
-    with_materials(action, options, inputs)
+    let reads_materials = options.texture_border.is_some() || !options.lock.0.is_empty();
+    if reads_materials { action.input("materials", inputs.materials.clone()) } else { action }
 }
 
 /// Output: `dependencies`.
@@ -80,6 +90,133 @@ pub(crate) fn parts_action(id: String, label: String, inputs: &Inputs, sequence:
     action.foreign = vec![foreign::GLAM.into()];
     action.numeric_class = Some(foreign::NUMERIC_CLASS.into());
     action
+}
+
+/// The sequence's report, and the extension's.
+#[derive(Serialize)]
+struct CollapseReport<'a> {
+    #[serde(flatten)]
+    sequence: &'a SequenceReport,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    texture_border: Option<TextureBorderReport>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    warnings: Vec<String>,
+}
+
+fn record(context: &Context<'_>, options: &options::SimplifyOptions) -> Result<Outputs, ActionError> {
+    let set = load_levels(context, "in")?;
+    let Some(finest) = set.levels.first() else { return Err(no_level()) };
+    let mesh = &finest.mesh;
+    let (mut texture_border, mut warnings, mut found) = (None, Vec::new(), None);
+    if let Some(options) = &options.texture_border {
+        let materials = load_materials(context, "materials")?;
+        let encoded = load_images(context, &materials)?;
+        context.progress(0.0, "texture borders");
+        let borders = borders(mesh, &materials, &encoded, options).map_err(StageError::Picture)?;
+        let report = borders.report(mesh, &materials);
+        warnings.extend(doubts(&report));
+        texture_border = Some(report);
+        found = Some(borders);
+    }
+    let locked = locked(context, options, mesh)?;
+    let conditions = Conditions { locked: &locked, borders: found.as_ref() };
+    let layout = set.layout.as_ref();
+    let sequence = collapse_under(mesh, &finest.quadrics, layout, &collapse_options(options), &conditions);
+    let report = CollapseReport { sequence: sequence.report(), texture_border, warnings };
+    Ok(Outputs::new().with("sequence", sequence.to_blob()).report(json(&report)))
+}
+
+fn doubts(report: &TextureBorderReport) -> Option<String> {
+    if report.pictures.is_empty() {
+        return Some(
+            "texture-border: no submesh has a texture in the maps that it names, so it changes nothing".into(),
+        );
+    }
+    (report.affected == 0).then(|| "texture-border: no edge crosses a border, so it changes nothing".into())
+}
+
+fn borders(
+    mesh: &Mesh,
+    materials: &MaterialSet,
+    encoded: &[Arc<[u8]>],
+    options: &options::TextureBorder,
+) -> Result<TextureBorders, String> {
+    let pictures = Pictures::new(encoded, materials.images.iter().map(|i| i.format).collect());
+    let own = TextureBorderOptions {
+        maps: options.maps.0.iter().map(|map| role(*map)).collect(),
+        sigma: options.sigma,
+        low: options.low,
+        high: options.high,
+        weight: options.weight,
+        cost: match options.cost {
+            options::BorderCost::Shift => BorderCost::Shift,
+            options::BorderCost::Area => BorderCost::Area,
+        },
+        side: options.side,
+    };
+    TextureBorders::new(mesh, materials, &|image: ImageId| pictures.get(image), &own)
+}
+
+/// A picture to look at: a texture with its borders and the edges that cross them.
+#[derive(Clone, Debug)]
+pub struct DebugPicture {
+    /// The texture's name and the map it was read as, fit for a file name.
+    pub name: String,
+    /// What it shows, with its counts.
+    pub caption: String,
+    /// The picture.
+    pub picture: Raster,
+}
+
+/// What a planned collapse with `texture-border` can show, from the inputs of its action.
+#[derive(Clone, Debug)]
+pub struct TextureBorderView {
+    /// Index of the action.
+    pub action: usize,
+    /// Id of the stage.
+    pub stage: String,
+    pub(crate) options: options::TextureBorder,
+}
+
+impl TextureBorderView {
+    /// The pictures, one for each texture and map. `mesh`: bytes of the action's input `in`; `materials` and `images` likewise.
+    ///
+    /// # Errors
+    /// The bytes are damaged.
+    pub fn pictures(
+        &self,
+        mesh: &[u8],
+        materials: &[u8],
+        images: &[Arc<[u8]>],
+    ) -> Result<Vec<DebugPicture>, StageError> {
+        let set = super::levels_of(mesh)?;
+        let finest = set.levels.first().ok_or(BlobError::Content("no level".into()))?;
+        let materials = MaterialSet::from_blob(materials)?;
+        let borders = borders(&finest.mesh, &materials, images, &self.options).map_err(StageError::Picture)?;
+        let report = borders.report(&finest.mesh, &materials);
+        let pictures = Pictures::new(images, materials.images.iter().map(|i| i.format).collect());
+        let show = |index: usize| {
+            let (map, counts) = (&borders.maps()[index], &report.pictures[index]);
+            let texture = pictures.get(map.image).map_err(StageError::Picture)?;
+            let segments = borders.segments(&finest.mesh, index);
+            let safe = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
+            Ok(DebugPicture {
+                name: format!("{index}-{}.{}", counts.name.chars().map(safe).collect::<String>(), counts.map),
+                caption: format!(
+                    "{} as {}: {} border texels of {} x {}, {} of {} edges in it cross one",
+                    counts.name,
+                    counts.map,
+                    counts.border_texels,
+                    counts.width,
+                    counts.height,
+                    counts.affected_segments,
+                    segments.len()
+                ),
+                picture: debug_picture(&texture, map, &segments),
+            })
+        };
+        (0..borders.maps().len()).map(show).collect()
+    }
 }
 
 #[derive(Serialize)]
@@ -135,7 +272,7 @@ fn collapse_options(options: &options::SimplifyOptions) -> SimplifyOptions {
         BoundaryRule::Last => Boundary::Last,
         BoundaryRule::Lock => Boundary::Lock,
     };
-    SimplifyOptions { boundary, ..SimplifyOptions::default() }
+    SimplifyOptions { boundary, attributes: options.attributes, ..SimplifyOptions::default() }
 }
 
 /// `[submesh_count]`: whether a glob of `lock` matches the submesh's material.

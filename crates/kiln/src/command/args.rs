@@ -100,6 +100,9 @@ pub(crate) struct BuildArgs {
     /// Go on with other assets when one fails
     #[arg(long)]
     pub(crate) keep_going: bool,
+    /// Draw textures with their borders, and the edges that cross them, into DIR, for stages with `texture-border`
+    #[arg(long, value_name = "DIR")]
+    pub(crate) debug_images: Option<PathBuf>,
     /// `warnings`: exit 1 when anything was repaired or replaced
     #[arg(long, value_name = "WHAT", value_parser = ["warnings"])]
     pub(crate) deny: Option<String>,

@@ -1,5 +1,7 @@
 //! `kiln build`.
 
+use std::fs;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -8,6 +10,7 @@ use kiln_pipeline::plan::PlanError;
 use super::args::BuildArgs;
 use super::{complain, data, diagnostics, progress};
 use crate::build::BuildError;
+use crate::debug_images::StagePicture;
 use crate::exit::Exit;
 use crate::summary::{StageState, Summary, seconds};
 
@@ -32,6 +35,7 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
         build.jobs = args.jobs;
         build.keep_going = args.keep_going;
         build.dry_run = args.dry_run;
+        build.debug_pictures = args.debug_images.is_some();
         build.cancel = Arc::clone(&cancel);
         let progress = progress::Progress::new(args.explain);
         let result = build.run(&progress);
@@ -44,6 +48,9 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
                     exit = Exit::Failed;
                 }
                 show(&outcome.summary, args.dry_run);
+                if let Some(folder) = &args.debug_images {
+                    exit = exit.max(write_pictures(folder, &outcome.pictures));
+                }
                 reports.push(outcome.summary);
                 exit
             }
@@ -62,6 +69,21 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
         worst = worst.max(data(&report.expect("invariant: a summary is plain data")));
     }
     worst
+}
+
+/// Writes debug pictures as PNG and says what each shows.
+fn write_pictures(folder: &Path, pictures: &[StagePicture]) -> Exit {
+    for one in pictures {
+        let path = folder.join(one.file_name());
+        let written = kiln_measure::encode_png(&one.picture.picture)
+            .map_err(|e| e.to_string())
+            .and_then(|png| fs::create_dir_all(folder).and_then(|()| fs::write(&path, png)).map_err(|e| e.to_string()));
+        if let Err(message) = written {
+            return complain(Exit::Failed, &format!("{}: {message}", path.display()));
+        }
+        eprintln!("{}: {}", path.display(), one.picture.caption);
+    }
+    Exit::Done
 }
 
 /// Prints why there was no build.

@@ -184,4 +184,6 @@ fn texture_lengths(mesh: &Mesh, uv: &[Vec2]) -> Vec<f32> {
     areas.iter().map(length).collect()
 }
 
-fn env(name: &str, d: f64) -> f64 { std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(d) }
+fn env(name: &str, d: f64) -> f64 {
+    std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(d)
+}

@@ -6,8 +6,10 @@
 //! | file | cost |
 //! | --- | --- |
 //! | `quadric` | area-weighted square distance to planes (Garland and Heckbert), with `attributes`: how far texture, shading and colours slide (Hoppe) |
+//! | `bordered` | any of them, with a surcharge near borders in a texture (González) |
 
 pub(super) mod attributes;
+pub(super) mod bordered;
 pub(super) mod quadric;
 
 use super::working::Working;
@@ -30,6 +32,9 @@ pub(super) trait Metric {
             out(self.cost(work, from, to, *corner), to);
         }
     }
+
+    /// Faces at `p` have changed; called before `p` is priced anew where costs may fall.
+    fn star_changed(&mut self, _work: &Working<'_>, _p: u32) {}
 
     /// `from` falls to `to`; called before the faces change, with the pairs of wedges in [`Working::map`]. The length, in object
     /// units, that `to` is off its source by from now on, as the metric sees it.

@@ -9,20 +9,9 @@ fn codes(loaded: &Loaded) -> Vec<&'static str> {
 }
 
 #[test]
-fn the_example_of_the_design_meets_only_refusals_of_what_arrives_later() {
-    let loaded = load_text(EXAMPLE, &[]);
-    let said: Vec<(&str, &str)> =
-        loaded.diagnostics.iter().map(|one| (one.code.as_str(), &EXAMPLE[one.span.clone()])).collect();
-    assert_eq!(said, [("key.unsupported", "texture-border")]);
-    assert!(loaded.pipeline.is_none());
-}
-
-#[test]
-fn the_example_without_what_arrives_later_is_read_in_full() {
-    let mut text = EXAMPLE.to_owned();
-    let border = text.find("texture-border").unwrap();
-    text.replace_range(border..text[border..].find('\n').unwrap() + border, "");
-    let pipeline = good_text(&text, &[]);
+fn the_example_of_the_design_is_read_in_full() {
+    let text = EXAMPLE;
+    let pipeline = good_text(text, &[]);
 
     let ids: Vec<&str> = pipeline.stages.iter().map(|stage| stage.id.as_str()).collect();
     assert_eq!(ids, ["whole", "base", "atlas", "lods", "bake", "pack"]);
@@ -36,6 +25,7 @@ fn the_example_without_what_arrives_later_is_read_in_full() {
         [rule("wheel*", RuleLevel::Keep(0.5)), rule("badge", RuleLevel::Keep(1.0)), rule("rim", relative)]
     );
     assert_eq!(&text[pipeline.stages[1].origin("submesh[2].relative-to").span.clone()], "\"wheel*\"");
+    assert_eq!(base.texture_border, Some(TextureBorder::default()), "the example names the defaults");
     let StageSettings::Simplify(lods) = &pipeline.stages[3].settings else { panic!() };
     assert_eq!(
         lods.levels,
@@ -398,4 +388,24 @@ fn the_caret_stands_under_its_text_behind_tabs_and_wide_characters() {
         loaded.sources.render(&loaded.diagnostics[0]),
         "p/x.toml:4:11: error[value.type]: expected a string, found a whole number\n   |\n 4 | \toutput = 5\n   | \t         ^ a whole number\n"
     );
+}
+
+#[test]
+fn a_texture_border_takes_one_map_or_several_and_is_written_out_in_full() {
+    let with = |table: &str| {
+        let text = SMALL.replace("kind = \"simplify\"\n", &format!("kind = \"simplify\"\ntexture-border = {table}\n"));
+        let pipeline = good_text(&text, &[]);
+        let StageSettings::Simplify(options) = &pipeline.stages[1].settings else { panic!() };
+        (options.texture_border.clone().unwrap(), pipeline.to_resolved_toml())
+    };
+    let (standard, resolved) = with("{}");
+    assert_eq!(standard, TextureBorder::default());
+    assert!(resolved.contains("texture-border = { map = [\"base-color\"], sigma = 0.75"), "{resolved}");
+    assert_eq!(with("{ map = \"normal\" }").0.maps.0, [MapName::Normal]);
+    assert_eq!(with("{ map = [\"normal\", \"emissive\"] }").0.maps.0, [MapName::Normal, MapName::Emissive]);
+    assert_eq!(
+        with("{ weight = 2, side = 64 }").0,
+        TextureBorder { weight: 2.0, side: 64, ..TextureBorder::default() }
+    );
+    assert!(!good_text(SMALL, &[]).to_resolved_toml().contains("texture-border"));
 }

@@ -53,6 +53,15 @@ fn own_uvs_builds_every_fixture_and_keeps_its_textures() {
 }
 
 #[test]
+fn least_error_builds_every_fixture() {
+    let space = copied("least-error.toml");
+    let report = space.run(["build", "pipelines/least-error.toml", "--backend", "cpu", "--json"]).expect(0).json();
+    for asset in report["assets"].as_array().unwrap() {
+        space.run(["check", &format!("pipelines/{}", asset["output"].as_str().unwrap())]).expect(0);
+    }
+}
+
+#[test]
 fn texture_border_builds_and_draws_its_borders_without_a_trace_in_the_cache() {
     let space = copied("texture-border.toml");
     let args = ["build", "pipelines/texture-border.toml", "--json"];

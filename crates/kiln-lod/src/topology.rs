@@ -122,6 +122,13 @@ impl Topology {
             kinds: vec![PointKind::Locked; point_count],
             lines: vec![[NONE; 2]; point_count],
         };
+        // Edges between points of one vertex each part no attributes.
+        let mut vertices = vec![0_u8; point_count];
+        for p in &mesh.points {
+            let count = &mut vertices[p.index()];
+            *count = count.saturating_add(1);
+        }
+        let whole: Vec<bool> = vertices.iter().map(|count| *count == 1).collect();
         // Points are judged by themselves, in blocks; what they say is written afterwards, in order.
         let blocks: Vec<Block> = (0..point_count.div_ceil(BLOCK))
             .into_par_iter()
@@ -132,7 +139,7 @@ impl Topology {
                     let mut said = Block::default();
                     for p in points {
                         topology.gather_spokes(p as u32, spokes, spoke_of);
-                        topology.judge(mesh, p as u32, spokes, spoke_of, &mut said);
+                        topology.judge(mesh, &whole, p as u32, spokes, spoke_of, &mut said);
                         for spoke in &*spokes {
                             spoke_of[spoke.point as usize] = NONE;
                         }
@@ -181,7 +188,9 @@ impl Topology {
     fn gather_spokes(&self, p: u32, spokes: &mut Vec<Spoke>, spoke_of: &mut [u32]) {
         spokes.clear();
         for corner in self.star(PointId(p)) {
-            let face = &self.face_points[*corner as usize / 3];
+            let (f, k) = (*corner / 3, *corner % 3);
+            let face = &self.face_points[f as usize];
+            let (onward, back) = ([1, 2, 0][k as usize], [2, 0, 1][k as usize]);
             let mut spoke = |point: u32| -> usize {
                 let slot = &mut spoke_of[point as usize];
                 if *slot == NONE {
@@ -190,20 +199,22 @@ impl Topology {
                 }
                 *slot as usize
             };
-            let (out, into) = (spoke(face[next(*corner) as usize % 3]), spoke(face[previous(*corner) as usize % 3]));
+            let (out, into) = (spoke(face[onward]), spoke(face[back]));
             spokes[out].out_count += 1;
             spokes[out].out_corner = *corner;
             spokes[into].in_count += 1;
-            spokes[into].in_corner = previous(*corner);
+            spokes[into].in_corner = 3 * f + back as u32;
         }
     }
 
     /// Twins and edge kinds of the half-edges that leave `p`, and the kind and line of `p`.
-    fn judge(&self, mesh: &Mesh, p: u32, spokes: &[Spoke], spoke_of: &[u32], said: &mut Block) {
+    fn judge(&self, mesh: &Mesh, whole: &[bool], p: u32, spokes: &[Spoke], spoke_of: &[u32], said: &mut Block) {
         let mut counts = [0u32; 5];
         let mut line = [[NONE; 2]; 5];
         for spoke in spokes {
-            let kind = edge_kind(mesh, spoke);
+            let plain = spoke.out_count == 1 && spoke.in_count == 1 && whole[p as usize] && whole[spoke.point as usize];
+            // A vertex belongs to one submesh.
+            let kind = if plain { EdgeKind::Manifold } else { edge_kind(mesh, spoke) };
             let seen = &mut counts[kind as usize];
             if let Some(slot) = line[kind as usize].get_mut(*seen as usize) {
                 *slot = spoke.point;
@@ -248,8 +259,8 @@ impl Topology {
         let (mut corner, mut faces) = (start, 0);
         loop {
             faces += 1;
-            let face = &self.face_points[corner as usize / 3];
-            let onward = face[previous(corner) as usize % 3];
+            let (f, k) = (corner / 3, corner % 3);
+            let onward = self.face_points[f as usize][[2, 0, 1][k as usize]];
             corner = spokes[spoke_of[onward as usize] as usize].out_corner;
             if corner == NONE || corner == start {
                 return faces == self.star(PointId(p)).len();

@@ -19,7 +19,7 @@ use kiln_bench::peer::{Call, Input, Output, Setting};
 use kiln_bench::rows::{Page, stamp};
 use kiln_bench::{middle, model, name, positions_only, timed};
 use kiln_lod::merge::{MergeOptions, merge};
-use kiln_lod::simplify::{Placement, SimplifyOptions, collapse};
+use kiln_lod::simplify::{MetricKind, Placement, SimplifyOptions, collapse};
 use kiln_measure::{Border, SurfaceReference};
 use rayon::ThreadPool;
 
@@ -37,6 +37,10 @@ type Tool = (&'static str, fn(&Mesh, u32) -> Mesh);
 const TOOLS: &[Tool] = &[
     ("quadric, half-edge", |mesh, budget| quadric(mesh, budget, Placement::HalfEdge)),
     ("quadric, free", |mesh, budget| quadric(mesh, budget, Placement::Free)),
+    ("memoryless", |mesh, budget| {
+        let options = SimplifyOptions { metric: MetricKind::Memoryless, ..SimplifyOptions::default() };
+        kiln_lod::simplify::simplify(mesh, budget, Placement::Free, &options)
+    }),
 ];
 
 fn quadric(mesh: &Mesh, budget: u32, placement: Placement) -> Mesh {

@@ -103,31 +103,33 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
                 self.price(from);
                 for (rank, to) in self.targets.clone() {
                     let offered = (entry(rank, from), to);
-                    if best.is_none_or(|b| offered < b) && self.work.test(from, to).is_none() {
+                    if best.is_none_or(|b| offered < b) && self.test(from, to).is_none() {
                         best = Some(offered);
                     }
                 }
             }
             let Some((front, to)) = best else { break };
-            self.work.test(front as u32, to);
+            self.test(front as u32, to);
             self.collapse(front as u32, to);
         }
         self.out.collapses.iter().map(|c| [c.from, c.to]).collect()
     }
 
     fn price_all(&mut self) {
-        let cheapest = |p: u32| {
-            let mut targets = Vec::new();
-            find_targets(&self.work, &self.metric, p, &mut targets);
+        let cheapest = |targets: &mut Vec<Target>, p: u32| {
+            find_targets(&self.work, &self.metric, p, targets);
             targets.iter().min().copied()
         };
-        let found: Vec<Option<Target>> = (0..self.work.points.len() as u32).into_par_iter().map(cheapest).collect();
+        let points = (0..self.work.points.len() as u32).into_par_iter();
+        let found: Vec<Option<Target>> = points.map_init(Vec::new, cheapest).collect();
         let mut entries = Vec::with_capacity(found.len());
         for (p, target) in found.into_iter().enumerate() {
             if let Some((rank, to)) = target {
                 let point = &mut self.work.points[p];
                 (point.rank, point.state, self.best[p]) = (rank, State::Queued, to);
                 entries.push(entry(rank, p as u32));
+            } else if moves(self.work.points[p].kind) != Moves::Never && self.work.points[p].count > 0 {
+                self.work.points[p].state = State::Blocked;
             }
         }
         self.heap = Heap::of(entries);
@@ -140,7 +142,7 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
             // Two points that are left lose no edge between them.
             if self.work.points[to as usize].count > 0
                 && self.rank_of(from, to) == rank
-                && self.work.test(from, to).is_none()
+                && self.test(from, to).is_none()
             {
                 self.collapse(from, to);
                 return;
@@ -154,12 +156,17 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
                 self.enqueue(from, cost, to, if i == 0 { State::Queued } else { State::Raised });
                 return;
             }
-            if self.work.test(from, to).is_none() {
+            if self.test(from, to).is_none() {
                 self.collapse(from, to);
                 return;
             }
         }
         self.work.points[from as usize].state = State::Blocked;
+    }
+
+    fn test(&mut self, from: u32, to: u32) -> Option<Rule> {
+        let place = if M::PLACES { self.metric.place(&self.work, from, to) } else { None };
+        self.work.test(from, to, place)
     }
 
     #[inline]
@@ -184,16 +191,36 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
         find_targets(&self.work, &self.metric, p, &mut self.targets);
         match self.targets.iter().min() {
             Some((rank, to)) => self.enqueue(p, *rank, *to, State::Queued),
-            None => self.work.points[p as usize].state = State::Out,
+            None => {
+                // It may get a target yet, unless it never moves or is gone.
+                let point = &mut self.work.points[p as usize];
+                let done = point.count == 0 || moves(point.kind) == Moves::Never;
+                point.state = if done { State::Out } else { State::Blocked };
+            }
         }
     }
 
     /// Takes `from`, whose partners the test left in the map, to `to`.
     fn collapse(&mut self, from: u32, to: u32) {
+        let place = if M::PLACES { self.metric.place(&self.work, from, to) } else { None };
         self.error = self.error.max(self.metric.merge(&mut self.work, from, to));
         let (first_face, first_pair) = (self.out.faces.len() as u32, self.out.pairs.len() as u32);
         self.out.pairs.extend_from_slice(&self.work.map);
         self.work.collapse(from, to);
+        if M::PLACES {
+            let position = &mut self.work.points[to as usize].position;
+            *position = place.map_or(*position, |place| place.as_vec3());
+            self.out.places.push(position.to_array());
+            self.metric.star_changed(&self.work, to);
+            for i in 0..self.work.corners(to).len() {
+                let [a, b] = self.work.others(self.work.corners(to)[i]);
+                // In a closed fan every neighbour comes first once; in an open one the last comes second only.
+                self.metric.star_changed(&self.work, a);
+                if self.work.points[b as usize].line != [NONE; 2] {
+                    self.metric.star_changed(&self.work, b);
+                }
+            }
+        }
         self.out.faces.extend_from_slice(&self.work.vanished);
         self.faces_left -= self.work.vanished.len() as u32;
         self.out.collapses.push(Collapse { from, to, first_face, first_pair, error: self.error as f32 });
@@ -232,6 +259,7 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
             (State::Out, _) | (_, Moves::Never) => {}
             (State::Raised | State::Blocked, _) => self.price(p),
             (State::Queued, Moves::AlongLine) if !point.line.contains(&to) => {}
+            (State::Queued, _) if !self.metric.offers(&self.work, p, to) => {}
             (State::Queued, _) => {
                 let offered = self.rank_of(p, to);
                 let point = &self.work.points[p as usize];
@@ -254,7 +282,10 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
             find_targets(&self.work, &self.metric, p, &mut self.targets);
             let rule = match self.targets.iter().min() {
                 None => Some(Rule::Kind),
-                Some((_, to)) => self.work.test(p, *to),
+                Some((_, to)) => {
+                    let to = *to;
+                    self.test(p, to)
+                }
             };
             if let Some(rule) = rule {
                 blocked[rule as usize] += 1;

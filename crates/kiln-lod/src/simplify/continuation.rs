@@ -36,6 +36,8 @@ pub(super) struct Standing {
     pub(super) mesh: Mesh,
     /// For each vertex of the first log's mesh that of this mesh that it went to, or [`NONE`].
     pub(super) heirs: Vec<u32>,
+    /// For each point where the log placed it; empty if it placed none, or was continued.
+    pub(super) places: Vec<Option<glam::Vec3>>,
     /// `[point_count]`: the mesh's form of each point, about its place.
     pub(super) forms: Vec<Quadric>,
     /// `[point_count]`, object space.
@@ -103,7 +105,7 @@ pub(super) fn submesh_faces(mesh: &Mesh) -> Vec<u32> {
 
 /// The cut of `log`. `forms` are those of its mesh, which is that of `from`, if there is one.
 pub(super) fn stand(log: &Log<'_>, forms: &mut Forms, from: Option<&Standing>, cut: &PartCut) -> Standing {
-    let Replayed { level: mesh, origin, heirs } = (log.sequence.replay_set(log.mesh, &cut.applied))
+    let Replayed { level: mesh, origin, heirs, places } = (log.sequence.replay_set(log.mesh, &cut.applied))
         .expect("invariant: a closed set of the mesh's own sequence keeps its promises");
     forms.apply(log.sequence, &cut.applied);
     let last = cut.applied.iter().rposition(|a| *a);
@@ -114,6 +116,7 @@ pub(super) fn stand(log: &Log<'_>, forms: &mut Forms, from: Option<&Standing>, c
     };
     Standing {
         heirs,
+        places: if from.is_some() { Vec::new() } else { places },
         forms: origin.iter().map(|p| forms.form(*p)).collect(),
         quadrics: forms.object_space(&origin),
         grown: origin.iter().map(|p| before(*p) || forms.grown(*p).is_some()).collect(),
@@ -180,7 +183,7 @@ fn continued(
     let floor = if only_free { (all - free + u64::from(share)) as f64 / all as f64 } else { 0.0 };
     let options = SimplifyOptions { floor, ..*options };
     let mut forms = Forms::new(mesh, &topology, &standing.quadrics, &options);
-    let sequence = collapse_prepared(mesh, &topology, &forms, None, &options, &locked);
+    let sequence = collapse_prepared(mesh, &topology, &forms, None, &options, &locked, None);
     let dependencies =
         Dependencies::for_cuts(mesh, &sequence).expect("invariant: the sequence was made from this very mesh");
     let stop = Stop { faces: share, earliest: 0, latest: sequence.collapses.len() };

@@ -119,6 +119,18 @@ impl Chains {
         self.tail[to] = last;
     }
 
+    /// Lets collapse `i`, which moved `to`, write all faces there.
+    fn claim(&mut self, i: u32, to: usize) {
+        let mut at = self.head[to];
+        while at != NONE {
+            let link = &mut self.links[at as usize / 3];
+            if link.writer == NONE || link.writer & DEAD == 0 {
+                link.writer = i;
+            }
+            at = link.next[at as usize % 3];
+        }
+    }
+
     /// Notes the writers of all that hangs at `from`, lets collapse `i` write it, and hangs it to `to`.
     fn write(&mut self, i: u32, [from, to]: [usize; 2], dying: &[u32], on: &mut Vec<u32>, touched: &mut Vec<[u32; 2]>) {
         let (mut at, mut tombstone, mut moved) = (self.head[from], NONE, false);
@@ -205,6 +217,9 @@ impl Dependencies {
                 let ends = [collapse.from as usize, collapse.to as usize];
                 chains.read(ends[1], dying, &mut on);
                 chains.write(i as u32, ends, dying, &mut on, &mut touched);
+                if !sequence.places.is_empty() {
+                    chains.claim(i as u32, ends[1]);
+                }
                 on.sort_unstable();
                 on.dedup();
             }

@@ -22,10 +22,13 @@ impl Heap {
     }
 
     /// A queue of these entries.
-    pub(super) fn of(mut entries: Vec<u64>) -> Heap {
-        // A sorted array is a heap.
-        entries.sort_unstable();
-        Heap(entries)
+    pub(super) fn of(entries: Vec<u64>) -> Heap {
+        let mut heap = Heap(entries);
+        for at in (0..heap.0.len().div_ceil(4)).rev() {
+            let entry = heap.0[at];
+            heap.sink(at, entry);
+        }
+        heap
     }
 
     /// The least entry; greater than all others if there is none.
@@ -49,11 +52,10 @@ impl Heap {
         self.0[at] = entry;
     }
 
-    pub(super) fn pop(&mut self) -> Option<u64> {
-        let last = self.0.pop()?;
-        let Some(first) = self.0.first().copied() else { return Some(last) };
+    /// Puts `entry` where it belongs at `at` or below, where it takes a free place.
+    #[inline]
+    fn sink(&mut self, mut at: usize, entry: u64) {
         let items = &mut self.0[..];
-        let mut at = 0;
         loop {
             let start = 4 * at + 1;
             if start >= items.len() {
@@ -66,13 +68,19 @@ impl Heap {
                     child = i;
                 }
             }
-            if items[child] >= last {
+            if items[child] >= entry {
                 break;
             }
             items[at] = items[child];
             at = child;
         }
-        items[at] = last;
+        items[at] = entry;
+    }
+
+    pub(super) fn pop(&mut self) -> Option<u64> {
+        let last = self.0.pop()?;
+        let Some(first) = self.0.first().copied() else { return Some(last) };
+        self.sink(0, last);
         Some(first)
     }
 }
@@ -88,7 +96,10 @@ mod tests {
         for (point, cost) in costs.iter().enumerate() {
             heap.push(entry(rank(*cost), point as u32));
         }
-        let order: Vec<u32> = std::iter::from_fn(|| heap.pop()).map(|entry| entry as u32).collect();
-        assert_eq!(order, [3, 5, 1, 2, 7, 6, 0, 4]);
+        let at_once = Heap::of(costs.iter().zip(0..).map(|(cost, point)| entry(rank(*cost), point)).collect());
+        for mut heap in [heap, at_once] {
+            let order: Vec<u32> = std::iter::from_fn(|| heap.pop()).map(|entry| entry as u32).collect();
+            assert_eq!(order, [3, 5, 1, 2, 7, 6, 0, 4]);
+        }
     }
 }

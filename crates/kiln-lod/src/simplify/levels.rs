@@ -240,10 +240,12 @@ pub fn simplify(mesh: &Mesh, faces: u32, placement: Placement, options: &Simplif
     let mut forms = Forms::new(mesh, &topology, &[], options);
     let floor = f64::from(faces) / mesh.face_count().max(1) as f64;
     let options = SimplifyOptions { floor, ..*options };
-    let sequence = collapse_prepared(mesh, &topology, &forms, None, &options, &[]);
-    let samples = Samples::new(mesh, &topology);
+    let sequence = collapse_prepared(mesh, &topology, &forms, None, &options, &[], None);
     let cut = replay(mesh, &sequence, &mut forms, sequence.reach(faces));
-    placed(mesh, &samples, cut, &forms, placement, &[])
+    match placement {
+        Placement::HalfEdge => cut.level,
+        Placement::Free => placed(mesh, &Samples::new(mesh, &topology), cut, &forms, placement, &[]),
+    }
 }
 
 /// What the first `count` collapses leave; the forms stand there then.
@@ -511,7 +513,12 @@ fn place_standing(mesh: &Mesh, samples: &Samples, standing: &Standing, placement
     let held = super::points_of(&standing.mesh, &whole);
     let forms: Vec<_> =
         (standing.forms.iter().enumerate()).map(|(p, form)| (standing.grown[p] && !held[p]).then_some(*form)).collect();
-    let cut = Replayed { level: standing.mesh.clone(), origin: Vec::new(), heirs: standing.heirs.clone() };
+    let cut = Replayed {
+        level: standing.mesh.clone(),
+        origin: Vec::new(),
+        heirs: standing.heirs.clone(),
+        places: standing.places.clone(),
+    };
     fit(mesh, samples, cut, &forms, SimplifyOptions::default().turn_cosine)
 }
 

@@ -54,7 +54,9 @@ use kiln_asset::{Mesh, QuadricCoefficients, UvLayout};
 
 use crate::topology::Topology;
 use collapse::Collapser;
+use metric::Metric;
 use metric::bordered::Bordered;
+use metric::memoryless::Memoryless;
 use metric::quadric::{Forms, QuadricMetric};
 use working::Working;
 
@@ -66,9 +68,21 @@ pub use levels::{
 pub use sequence::{Collapse, CollapseSequence, SequenceReport};
 pub use texture_border::{BorderCost, TextureBorderOptions, TextureBorders};
 
+/// What a collapse costs, and where it puts the point that stays.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum MetricKind {
+    /// Planes of the source, remembered (Garland and Heckbert), with the slide of attributes (Hoppe).
+    #[default]
+    Quadric,
+    /// Volume and border of the mesh as it is (Lindstrom and Turk); places points freely.
+    Memoryless,
+}
+
 /// How to collapse. All are unitless.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimplifyOptions {
+    /// What prices collapses.
+    pub metric: MetricKind,
     /// Stop when this share of the faces is left; 0 goes on to exhaustion. A twentieth of a percent is below any level that
     /// people ask for and spares nothing worth sparing, so the default is 0.
     pub floor: f64,
@@ -104,8 +118,9 @@ pub enum Boundary {
 impl Default for SimplifyOptions {
     fn default() -> Self {
         SimplifyOptions {
+            metric: MetricKind::Quadric,
             floor: 0.0,
-            border_weight: 10.0,
+            border_weight: 100.0,
             line_weight: 1.0,
             length_weight: 1e-6,
             attributes: true,
@@ -147,14 +162,7 @@ pub fn collapse_under(
     let topology = Topology::new(mesh);
     let forms = Forms::new(mesh, &topology, carried, options);
     let locked = if conditions.locked.contains(&true) { points_of(mesh, conditions.locked) } else { Vec::new() };
-    let (work, metric) = prepared(mesh, &topology, &forms, layout, options, &locked);
-    match conditions.borders {
-        None => Collapser::new(mesh, work, metric, options).run(),
-        Some(borders) => {
-            let metric = Bordered::new(metric, mesh, borders, &work);
-            Collapser::new(mesh, work, metric, options).run()
-        }
-    }
+    collapse_prepared(mesh, &topology, &forms, layout, options, &locked, conditions.borders)
 }
 
 /// The mesh to work on and its metric. `locked`: empty, or `[point_count]`.
@@ -179,9 +187,36 @@ fn collapse_prepared(
     layout: Option<&UvLayout>,
     options: &SimplifyOptions,
     locked: &[bool],
+    borders: Option<&TextureBorders>,
 ) -> CollapseSequence {
-    let (work, metric) = prepared(mesh, topology, forms, layout, options, locked);
-    Collapser::new(mesh, work, metric, options).run()
+    match options.metric {
+        MetricKind::Quadric => {
+            let (work, metric) = prepared(mesh, topology, forms, layout, options, locked);
+            ordered(mesh, work, metric, options, borders)
+        }
+        MetricKind::Memoryless => {
+            let mut work = Working::new(mesh, topology, forms.positions(), layout, options);
+            work.lock(locked);
+            let metric = Memoryless::new(mesh, &work);
+            ordered(mesh, work, metric, options, borders)
+        }
+    }
+}
+
+fn ordered<M: Metric + Sync>(
+    mesh: &Mesh,
+    work: Working<'_>,
+    metric: M,
+    options: &SimplifyOptions,
+    borders: Option<&TextureBorders>,
+) -> CollapseSequence {
+    match borders {
+        None => Collapser::new(mesh, work, metric, options).run(),
+        Some(borders) => {
+            let metric = Bordered::new(metric, mesh, borders, &work);
+            Collapser::new(mesh, work, metric, options).run()
+        }
+    }
 }
 
 /// `[point_count]`: whether a face of a submesh in `chosen` is at the point.

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
+use glam::Vec3;
 use kiln_asset::blob::{BlobError, BlobReader, BlobWriter};
 use kiln_asset::{Mesh, MeshError, SubmeshId};
 use serde::{Deserialize, Serialize};
@@ -49,6 +50,8 @@ pub struct CollapseSequence {
     pub faces: Vec<u32>,
     /// (wedge that goes, wedge that its corners use from then on), by collapse.
     pub pairs: Vec<[u32; 2]>,
+    /// By collapse, where the point that stays stands from then on; empty if it stays where it is.
+    pub places: Vec<[f32; 3]>,
     pub(super) report: SequenceReport,
 }
 
@@ -61,6 +64,8 @@ pub struct Replayed {
     pub origin: Vec<u32>,
     /// For each vertex of the mesh that of the level that it went to, or `u32::MAX` if its side of the point is gone.
     pub heirs: Vec<u32>,
+    /// For each point of the level where the log placed it; empty if it placed none.
+    pub places: Vec<Option<Vec3>>,
 }
 
 impl CollapseSequence {
@@ -119,7 +124,8 @@ impl CollapseSequence {
     pub(super) fn replay_with_heirs(&self, mesh: &Mesh, count: usize) -> Result<Replayed, MeshError> {
         let pair_end = self.collapses.get(count).map_or(self.pairs.len(), |c| c.first_pair as usize);
         let face_end = self.collapses.get(count).map_or(self.faces.len(), |c| c.first_face as usize);
-        replayed(mesh, self.pairs[..pair_end].iter().rev(), self.faces[..face_end].iter())
+        let cut = replayed(mesh, self.pairs[..pair_end].iter().rev(), self.faces[..face_end].iter())?;
+        Ok(self.placed(mesh, cut, 0..count.min(self.collapses.len())))
     }
 
     /// The mesh after the collapses of a closed set, `applied[i]` for collapse `i`, with what became of the mesh's points and
@@ -133,16 +139,32 @@ impl CollapseSequence {
     pub fn replay_set(&self, mesh: &Mesh, applied: &[bool]) -> Result<Replayed, MeshError> {
         let chosen = || (0..self.collapses.len()).filter(|i| applied[*i]);
         let pairs = chosen().rev().flat_map(|i| &self.pairs[self.pairs_of(i)]);
-        replayed(mesh, pairs, chosen().flat_map(|i| &self.faces[self.faces_of(i)]))
+        let cut = replayed(mesh, pairs, chosen().flat_map(|i| &self.faces[self.faces_of(i)]))?;
+        Ok(self.placed(mesh, cut, chosen()))
+    }
+
+    /// The cut with the places that the collapses `applied` gave its points.
+    fn placed(&self, mesh: &Mesh, mut cut: Replayed, applied: impl Iterator<Item = usize>) -> Replayed {
+        if !self.places.is_empty() {
+            let mut places = vec![None; mesh.point_count()];
+            for i in applied {
+                if let Some(slot) = places.get_mut(self.collapses[i].to as usize) {
+                    *slot = Some(Vec3::from_array(self.places[i]));
+                }
+            }
+            cut.places = cut.origin.iter().map(|p| places[*p as usize]).collect();
+        }
+        cut
     }
 
     /// The sequence as bytes for the private cache.
     pub fn to_blob(&self) -> Vec<u8> {
-        let mut blob = BlobWriter::new(*b"CSEQ", 1);
+        let mut blob = BlobWriter::new(*b"CSEQ", 2);
         blob.meta(&(self.face_count, self.vertex_count, &self.report));
         blob.array(&self.collapses);
         blob.array(&self.faces);
         blob.array(&self.pairs);
+        blob.array(&self.places);
         blob.finish()
     }
 
@@ -151,7 +173,7 @@ impl CollapseSequence {
     /// # Errors
     /// Wrong type, version or length, an index out of range, or errors that shrink.
     pub fn from_blob(bytes: &[u8]) -> Result<CollapseSequence, BlobError> {
-        let mut blob = BlobReader::open(bytes, *b"CSEQ", 1)?;
+        let mut blob = BlobReader::open(bytes, *b"CSEQ", 2)?;
         let (face_count, vertex_count, report): (u32, u32, SequenceReport) = blob.meta()?;
         let sequence = CollapseSequence {
             face_count,
@@ -160,12 +182,15 @@ impl CollapseSequence {
             collapses: blob.array()?,
             faces: blob.array()?,
             pairs: blob.array()?,
+            places: blob.array()?,
         };
         blob.finish()?;
         let s = &sequence;
         let sound = s.faces.len() as u64 <= u64::from(face_count)
             && s.faces.iter().all(|f| *f < face_count)
             && s.pairs.iter().flatten().all(|w| *w < vertex_count)
+            && (s.places.is_empty() || s.places.len() == s.collapses.len())
+            && s.places.iter().flatten().all(|c| c.is_finite())
             && s.collapses.windows(2).all(|w| {
                 w[0].first_face <= w[1].first_face && w[0].first_pair <= w[1].first_pair && w[0].error <= w[1].error
             })
@@ -204,6 +229,7 @@ fn replayed<'a>(
             level: mesh.clone(),
             origin: (0..mesh.point_count() as u32).collect(),
             heirs: (0..mesh.vertex_count() as u32).collect(),
+            places: Vec::new(),
         });
     }
     let mut new_index = vec![u32::MAX; mesh.vertex_count()];
@@ -230,5 +256,5 @@ fn replayed<'a>(
         origin[level.points[v].index()] = mesh.points[*old as usize].0;
     }
     let heirs = stands.iter().map(|v| new_index[*v as usize]).collect();
-    Ok(Replayed { level, origin, heirs })
+    Ok(Replayed { level, origin, heirs, places: Vec::new() })
 }

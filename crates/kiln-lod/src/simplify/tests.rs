@@ -387,3 +387,80 @@ fn a_moebius_strip_is_simplified_without_a_panic() {
     let (level, report) = cut(&mesh, Budget::Triangles(20));
     assert!(level.face_count() <= 20 || report.short.is_some(), "{report:?}");
 }
+
+fn memoryless() -> SimplifyOptions {
+    SimplifyOptions { metric: MetricKind::Memoryless, ..SimplifyOptions::default() }
+}
+
+/// Mean distance of the level's points from the unit sphere, with its sign.
+fn bias(level: &Mesh) -> f32 {
+    let centers = level.triangles.iter().map(|t| t.map(|v| level.positions[v as usize]).iter().sum::<Vec3>() / 3.0);
+    let all: Vec<f32> = centers.chain(level.positions.iter().copied()).map(|p| p.length() - 1.0).collect();
+    all.iter().sum::<f32>() / all.len() as f32
+}
+
+#[test]
+fn a_fitted_level_lies_on_both_sides_of_its_source_and_a_half_edge_one_inside() {
+    let mesh = fixtures::sphere(48, 32);
+    let faces = mesh.face_count() as u32 / 10;
+    let half = simplify(&mesh, faces, Placement::HalfEdge, &SimplifyOptions::default());
+    let free = simplify(&mesh, faces, Placement::Free, &SimplifyOptions::default());
+    let memoryless = simplify(&mesh, faces, Placement::Free, &memoryless());
+    let [half, free, memoryless] = [half, free, memoryless].map(|level| bias(&level));
+    assert!(half < -0.01, "{half}");
+    assert!(free.abs() < 0.3 * half.abs() && memoryless.abs() < 0.3 * half.abs(), "{half}, {free}, {memoryless}");
+}
+
+#[test]
+fn memoryless_keeps_volumes_borders_and_planes() {
+    let sphere = fixtures::sphere(32, 24);
+    let volume = |mesh: &Mesh| -> f64 {
+        let six = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|v| mesh.positions[v as usize].as_dvec3());
+            a.dot(b.cross(c))
+        };
+        mesh.triangles.iter().map(six).sum::<f64>() / 6.0
+    };
+    let sequence = collapse(&sphere, &[], None, &memoryless());
+    assert_eq!(sequence.places.len(), sequence.collapses.len());
+    let level = simplify(&sphere, sphere.face_count() as u32 / 8, Placement::Free, &memoryless());
+    let lost = 1.0 - volume(&level) / volume(&sphere);
+    assert!(lost.abs() < 0.01, "{lost} of the volume is lost");
+    // A flat sheet stays flat and keeps its outline at any level.
+    let sheet = fixtures::grid(16, 12);
+    let level = simplify(&sheet, 20, Placement::Free, &memoryless());
+    assert!(level.face_count() <= 20, "{}", level.face_count());
+    let error = surface_error(&sheet, &level, 20_000);
+    assert!(error < 1e-3, "{error}");
+}
+
+#[test]
+fn a_placed_sequence_comes_back_from_its_blob_and_cuts_alike_on_any_thread_count() {
+    let mesh = painted_field();
+    let sequence = collapse(&mesh, &[], None, &memoryless());
+    assert_eq!(CollapseSequence::from_blob(&sequence.to_blob()).unwrap(), sequence);
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let again = one.install(|| collapse(&mesh, &[], None, &memoryless()));
+    assert_eq!(again, sequence);
+    let cut_on = |pool: &rayon::ThreadPool| pool.install(|| super::cut(&mesh, &[], &sequence, 300, Placement::Free));
+    let three = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+    assert_eq!(cut_on(&one), cut_on(&three));
+}
+
+#[test]
+fn a_texture_that_slides_has_a_price_and_one_that_does_not_has_none() {
+    // A flat sheet: no collapse costs the surface anything, so only the texture tells the order.
+    let mut raw = fixtures::grid(24, 24).into_raw();
+    let bent = |p: &Vec3| glam::Vec2::new(if p.x < 12.0 { p.x } else { 12.0 + (p.x - 12.0).powi(2) }, p.y) / 160.0;
+    raw.uv0 = Some(raw.positions.iter().map(bent).collect());
+    let mesh = Mesh::new(raw).unwrap();
+    let level = simplify(&mesh, 300, Placement::HalfEdge, &SimplifyOptions::default());
+    let [straight, curved] =
+        [0.0, 12.0].map(|low| level.positions.iter().filter(|p| p.x > low && p.x < low + 12.0).count());
+    assert!(2 * curved > 3 * straight, "{straight} points where the texture is straight, {curved} where it bends");
+    let blind = SimplifyOptions { attributes: false, ..SimplifyOptions::default() };
+    let level = simplify(&mesh, 300, Placement::HalfEdge, &blind);
+    let [straight, curved] =
+        [0.0, 12.0].map(|low| level.positions.iter().filter(|p| p.x > low && p.x < low + 12.0).count());
+    assert!(2 * curved < 3 * straight, "{straight}, {curved} without attributes");
+}

@@ -212,8 +212,9 @@ impl<'a> Working<'a> {
     }
 
     /// The rule that forbids taking `from` to `to`; fills `map` with the partners of its wedges.
-    pub(super) fn test(&mut self, from: u32, to: u32) -> Option<Rule> {
-        self.test_link(from, to).or_else(|| self.test_shape(from, to))
+    /// `place`: where `to` goes then, if not where it is.
+    pub(super) fn test(&mut self, from: u32, to: u32, place: Option<DVec3>) -> Option<Rule> {
+        self.test_link(from, to).or_else(|| self.test_shape(from, to, place))
     }
 
     /// Link condition: the points beside both ends are the third points of the dying faces and no others, and no face falls
@@ -283,7 +284,8 @@ impl<'a> Working<'a> {
     }
 
     /// Whether every wedge has its partner and every face keeps its shape. Completes `map`.
-    fn test_shape(&mut self, from: u32, to: u32) -> Option<Rule> {
+    fn test_shape(&mut self, from: u32, to: u32, place: Option<DVec3>) -> Option<Rule> {
+        let target = place.unwrap_or_else(|| self.points[to as usize].position.as_dvec3());
         let (start, count) = (self.points[from as usize].first as usize, self.points[from as usize].count as usize);
         for i in start..start + count {
             let corner = self.pool[i];
@@ -303,8 +305,19 @@ impl<'a> Working<'a> {
                     None => return Some(Rule::Partner),
                 },
             };
-            if let Some(rule) = self.reshape([from, to, a, b]).or_else(|| self.reshape_uv(f, k, partner)) {
+            if let Some(rule) = self.reshape([from, a, b], target).or_else(|| self.reshape_uv(f, k, partner)) {
                 return Some(rule);
+            }
+        }
+        if place.is_some() {
+            for corner in self.corners(to) {
+                let [a, b] = self.others(*corner);
+                if a != from
+                    && b != from
+                    && let Some(rule) = self.reshape([to, a, b], target)
+                {
+                    return Some(rule);
+                }
             }
         }
         let guard = self.uv_border.as_ref()?;
@@ -332,10 +345,10 @@ impl<'a> Working<'a> {
         best.map(|b| b.1)
     }
 
-    /// What forbids the face (from, a, b) to become (to, a, b).
+    /// What forbids the corner `p` of the face (p, a, b) to go to `q`.
     #[inline]
-    fn reshape(&self, [from, to, a, b]: [u32; 4]) -> Option<Rule> {
-        let [p, q, a, b] = [from, to, a, b].map(|i| self.points[i as usize].position.as_dvec3());
+    fn reshape(&self, [p, a, b]: [u32; 3], q: DVec3) -> Option<Rule> {
+        let [p, a, b] = [p, a, b].map(|i| self.points[i as usize].position.as_dvec3());
         let side = b - a;
         let (old, new) = (side.cross(p - a), side.cross(q - a));
         let (old_square, new_square) = (old.length_squared(), new.length_squared());

@@ -12,7 +12,7 @@
 
 use super::diagnostic::{Code, Origin, Report, nearest, suggest};
 use super::length::{Length, Unit};
-use super::options::{Kind, LevelBudget, Normals, RuleLevel, SubmeshRule};
+use super::options::{Kind, LevelBudget, Metric, Normals, Placement, RuleLevel, SubmeshRule};
 use super::pipeline::{Stage, StageInput, StageSettings};
 use super::read::Draft;
 
@@ -255,6 +255,7 @@ impl Walk<'_> {
                 let gives = Flow { what: What::Levels, count, budget, atlas: incoming.atlas, baked: incoming.baked };
                 let levels = options.levels.clone();
                 let rebuilds = options.normals == Normals::Rebuild;
+                let places = options.metric.0 == Metric::Memoryless && options.placement == Placement::HalfEdge;
                 match incoming.what {
                     What::Asset => {
                         let message = String::from("simplify takes a mesh, not the asset");
@@ -274,6 +275,12 @@ impl Walk<'_> {
                     let message = "normals cannot be rebuilt after an atlas: its levels share one tangent-space map";
                     let help = Some(String::from("rebuild them in the simplify stage before the atlas"));
                     self.report.add(Code::ChainNormals, origin, message, "after an atlas", help);
+                }
+                if places {
+                    let origin = draft.origin("metric");
+                    let message = "the metric `memoryless` places points freely, and `placement` is \"half-edge\"";
+                    let help = Some(String::from("add placement = \"free\""));
+                    self.report.add(Code::ChainPlacement, origin, message, "needs free placement", help);
                 }
                 self.levels(index, &levels, incoming);
                 gives

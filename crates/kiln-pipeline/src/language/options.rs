@@ -41,11 +41,12 @@ choices! {
 choices! {
     /// What an edge costs.
     pub enum Metric {
-        /// Area-weighted plane quadrics with border, seam and boundary constraints.
+        /// Area-weighted plane quadrics with border, seam and boundary constraints, and the slide of attributes.
         "quadric" => Quadric,
+        /// Volume, border and shape of the mesh as it is (Lindstrom and Turk): least error of all, at a third of the speed; free
+        /// placement only.
+        "memoryless" => Memoryless,
         later {
-            /// Volume, boundary and shape without a memory of earlier collapses.
-            "memoryless",
             /// Viewpoint entropy, each face its own region.
             "viewpoint-entropy",
             /// Viewpoint mutual information, each face its own region.

@@ -11,8 +11,8 @@ use kiln_lod::normals;
 use kiln_lod::simplify::parts::{PartLevel, PartRule, matches, unmatched};
 use kiln_lod::simplify::texture_border::{TextureBorderReport, debug_picture};
 use kiln_lod::simplify::{
-    BorderCost, Boundary, Budget, CollapseSequence, Conditions, Dependencies, LevelsOptions, Parts, Placement,
-    SequenceReport, SimplifyOptions, SimplifyReport, TextureBorderOptions, TextureBorders, collapse_under,
+    BorderCost, Boundary, Budget, CollapseSequence, Conditions, Dependencies, LevelsOptions, MetricKind, Parts,
+    Placement, SequenceReport, SimplifyOptions, SimplifyReport, TextureBorderOptions, TextureBorders, collapse_under,
     levels_by_parts,
 };
 use serde::Serialize;
@@ -272,7 +272,11 @@ fn collapse_options(options: &options::SimplifyOptions) -> SimplifyOptions {
         BoundaryRule::Last => Boundary::Last,
         BoundaryRule::Lock => Boundary::Lock,
     };
-    SimplifyOptions { boundary, attributes: options.attributes, ..SimplifyOptions::default() }
+    let metric = match options.metric.0 {
+        options::Metric::Quadric => MetricKind::Quadric,
+        options::Metric::Memoryless => MetricKind::Memoryless,
+    };
+    SimplifyOptions { metric, boundary, attributes: options.attributes, ..SimplifyOptions::default() }
 }
 
 /// `[submesh_count]`: whether a glob of `lock` matches the submesh's material.

@@ -2,6 +2,7 @@
 //!
 //! It may fall when a star changes, so all neighbours of a kept point are priced anew.
 
+use glam::DVec3;
 use kiln_asset::Mesh;
 
 use super::Metric;
@@ -33,6 +34,7 @@ impl<'a, M: Metric> Bordered<'a, M> {
 
 impl<M: Metric> Metric for Bordered<'_, M> {
     const FALLS: bool = true;
+    const PLACES: bool = M::PLACES;
 
     fn cost(&self, work: &Working<'_>, from: u32, to: u32, corner: u32) -> f32 {
         let base = self.base.cost(work, from, to, corner);
@@ -40,6 +42,14 @@ impl<M: Metric> Metric for Bordered<'_, M> {
             return base;
         }
         self.surcharge.cost(self.mesh, f64::from(base), true, work.star(from, to)) as f32
+    }
+
+    fn offers(&self, work: &Working<'_>, from: u32, to: u32) -> bool {
+        self.base.offers(work, from, to)
+    }
+
+    fn place(&self, work: &Working<'_>, from: u32, to: u32) -> Option<DVec3> {
+        self.base.place(work, from, to)
     }
 
     fn star_changed(&mut self, work: &Working<'_>, p: u32) {

@@ -1,16 +1,20 @@
 //! Metrics: what a collapse costs, and where it puts the point that stays.
 //!
-//! A metric is one file that implements [`Metric`]; the loop ([`super::collapse`]) knows no more of it. Costs are square lengths
-//! times areas by the diagonal to the fourth: unitless, and comparable along a sequence.
+//! A metric is one file that implements [`Metric`]; the loop ([`super::collapse`]) knows no more of it. Costs are unitless,
+//! by a power of the diagonal, and comparable along a sequence: square lengths times areas, or square volumes.
 //!
 //! | file | cost |
 //! | --- | --- |
 //! | `quadric` | area-weighted square distance to planes (Garland and Heckbert), with `attributes`: how far texture, shading and colours slide (Hoppe) |
+//! | `memoryless` | square volume between the mesh as it is now and after, with volume and border kept (Lindstrom and Turk) |
 //! | `bordered` | any of them, with a surcharge near borders in a texture (González) |
 
 pub(super) mod attributes;
 pub(super) mod bordered;
+pub(super) mod memoryless;
 pub(super) mod quadric;
+
+use glam::DVec3;
 
 use super::working::Working;
 
@@ -19,6 +23,9 @@ pub(super) trait Metric {
     /// Whether a cost may fall while a sequence goes on. If not, a cost is a lower bound for ever, and the loop prices only what
     /// comes to the front of its queue.
     const FALLS: bool;
+
+    /// Whether points that stay move; then the log keeps their places.
+    const PLACES: bool = false;
 
     /// What taking `from` to `to` costs: unitless, 0 or more. `corner`, if the caller
     /// has one, lies at `from`, and its face holds `to`, too; else it is [`NONE`](crate::topology::NONE).
@@ -29,11 +36,23 @@ pub(super) trait Metric {
     fn costs(&self, work: &Working<'_>, from: u32, mut out: impl FnMut(f32, u32)) {
         for corner in work.corners(from) {
             let to = work.others(*corner)[0];
-            out(self.cost(work, from, to, *corner), to);
+            if self.offers(work, from, to) {
+                out(self.cost(work, from, to, *corner), to);
+            }
         }
     }
 
-    /// Faces at `p` have changed; called before `p` is priced anew where costs may fall.
+    /// Whether `from` is the end that offers the edge; where points that stay move, both ends would offer the same.
+    fn offers(&self, _work: &Working<'_>, _from: u32, _to: u32) -> bool {
+        true
+    }
+
+    /// Where `to` goes when it takes in `from`; `None` where it stays.
+    fn place(&self, _work: &Working<'_>, _from: u32, _to: u32) -> Option<DVec3> {
+        None
+    }
+
+    /// Faces at `p` have changed; called after each collapse where points move, and before `p` is priced anew where costs may fall.
     fn star_changed(&mut self, _work: &Working<'_>, _p: u32) {}
 
     /// `from` falls to `to`; called before the faces change, with the pairs of wedges in [`Working::map`]. The length, in object

@@ -15,7 +15,7 @@ use kiln_bench::peer::{Input, Setting};
 use kiln_bench::rows::{Page, stamp};
 use kiln_bench::{base_colors, model, name};
 use kiln_lod::merge::{MergeOptions, merge};
-use kiln_lod::simplify::{Placement, SimplifyOptions, collapse, cut};
+use kiln_lod::simplify::{Placement, SimplifyOptions, simplify};
 use kiln_measure::{CompareOptions, FlatReference, Scene, SurfaceReference};
 
 /// Sample points a side for the distances.
@@ -28,15 +28,9 @@ type Tool = (&'static str, fn(&Mesh, u32) -> Mesh);
 
 /// kiln's ways; another metric is another line.
 const TOOLS: &[Tool] = &[
-    ("quadric, half-edge", |mesh, budget| quadric(mesh, budget, Placement::HalfEdge)),
-    ("quadric, free", |mesh, budget| quadric(mesh, budget, Placement::Free)),
+    ("quadric, half-edge", |mesh, budget| simplify(mesh, budget, Placement::HalfEdge, &SimplifyOptions::default())),
+    ("quadric, free", |mesh, budget| simplify(mesh, budget, Placement::Free, &SimplifyOptions::default())),
 ];
-
-fn quadric(mesh: &Mesh, budget: u32, placement: Placement) -> Mesh {
-    let floor = f64::from(budget) / mesh.face_count().max(1) as f64;
-    let sequence = collapse(mesh, &[], None, &SimplifyOptions { floor, ..SimplifyOptions::default() });
-    cut(mesh, &[], &sequence, budget, placement)
-}
 
 /// One level and how far it is off.
 struct Score {

@@ -20,11 +20,12 @@
 //! ```
 //! Since the b_i of a place sum to 1, the `A_i` bound the true normal matrix from above: no sweep makes the sum of squares
 //! larger. The form keeps edges of the shape sharp and speaks where samples are few; along the surface nothing pulls. Samples of
-//! borders, seams and boundaries pull across these lines' edges only, so lines keep course and length. The order of collapses hardly depends on
-//! places, so the log stays free of them, and one log serves both placements.
+//! borders, seams and boundaries pull across these lines' edges only, so lines keep course and length. The order of collapses hardly
+//! depends on places, so a metric's log may stay free of them, and one log serves both placements; where a metric logged places, the
+//! fit starts from those.
 //!
-//! Points that took in none stay, bit for bit. Seams and junctions of a mesh with an atlas stay, too: levels share its maps. A
-//! place for an attribute is sought only on faces that hang together by vertices, so nothing is read across a seam.
+//! Points that took in none stay, bit for bit, and so do junctions of submeshes, and seams of a mesh with an atlas: levels share its
+//! maps. A place for an attribute is sought only on faces that hang together by vertices, so nothing is read across a seam.
 //!
 //! **Departures.** Garland and Heckbert solve for the least of the form at every collapse. Hoppe finds places by a search and
 //! alternates with changes of connectivity; here the log gives them, and connectivity is settled.
@@ -92,7 +93,7 @@ impl Samples {
                 }
             }
         }
-        line.iter_mut().for_each(|length| *length *= LINE * *length);
+        line.iter_mut().for_each(|length| *length = LINE * length.powi(2));
         Samples { area, line }
     }
 }
@@ -109,15 +110,20 @@ pub(super) fn fit(
     let Replayed { level, heirs, places, .. } = cut;
     let topology = Topology::new(&level);
     let shared_maps = level.atlas_uv.is_some();
-    let forms: Vec<Option<Quadric>> = forms
-        .iter()
-        .zip(&topology.kinds)
-        .map(|(form, kind)| match kind {
-            PointKind::Complex => None,
-            PointKind::Seam | PointKind::Locked if shared_maps => None,
-            _ => *form,
-        })
-        .collect();
+    let mut submesh = vec![None; forms.len()];
+    let mut joint = vec![false; forms.len()];
+    for (points, own) in topology.face_points.iter().zip(&level.face_submesh) {
+        for p in points {
+            joint[*p as usize] |= submesh[*p as usize].replace(*own).is_some_and(|other| other != *own);
+        }
+    }
+    let may_move = |p: usize| match topology.kinds[p] {
+        PointKind::Complex => false,
+        PointKind::Seam => !shared_maps,
+        PointKind::Locked => !shared_maps && !joint[p],
+        _ => true,
+    };
+    let forms: Vec<Option<Quadric>> = forms.iter().enumerate().map(|(p, form)| form.filter(|_| may_move(p))).collect();
     let chosen =
         (0..heirs.len() as u32).filter(|v| heirs[*v as usize] != NONE && samples.area[*v as usize] > 0.0).collect();
     let point_of: Vec<u32> = level.points.iter().map(|p| p.0).collect();

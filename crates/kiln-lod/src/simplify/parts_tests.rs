@@ -538,3 +538,32 @@ fn one_thread_and_four_give_the_same_cut_by_parts() {
     };
     assert_eq!(run(1), run(4));
 }
+
+#[test]
+fn a_placed_collapse_rests_on_what_placed_its_ends() {
+    let mesh = fixtures::field(10, 10, |x, y| (x * 0.7).sin() * (y * 0.5).cos());
+    let options = SimplifyOptions { metric: MetricKind::Memoryless, ..SimplifyOptions::default() };
+    let sequence = collapse(&mesh, &[], None, &options);
+    let dependencies = Dependencies::new(&mesh, &sequence).unwrap();
+    let mut seen = 0;
+    for (i, own) in sequence.collapses.iter().enumerate() {
+        // All that it rests on, near and far.
+        let mut rests = vec![false; i];
+        let mut open: Vec<usize> = vec![i];
+        while let Some(at) = open.pop() {
+            for on in dependencies.of(at) {
+                if !std::mem::replace(&mut rests[*on as usize], true) {
+                    open.push(*on as usize);
+                }
+            }
+        }
+        // A neighbour of a placed point sees its faces change; so does whoever takes it in.
+        for end in [own.from, own.to] {
+            if let Some(placed) = sequence.collapses[..i].iter().rposition(|c| c.to == end) {
+                assert!(rests[placed], "collapse {i} does not rest on {placed}, which placed point {end}");
+                seen += 1;
+            }
+        }
+    }
+    assert!(seen > 50, "{seen}");
+}

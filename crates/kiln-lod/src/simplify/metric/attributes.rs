@@ -89,7 +89,7 @@ impl AttributeForms {
         let (bb, bc, cc) = (ab.length_squared(), ab.dot(ac), ac.length_squared());
         let determinant = bb * cc - bc * bc;
         // A needle has a gradient along itself only, and little area to count.
-        if !(determinant > 1e-6 * bb * cc) {
+        if determinant.is_nan() || determinant <= 1e-6 * bb * cc {
             return;
         }
         let weight = determinant.sqrt() / 6.0;

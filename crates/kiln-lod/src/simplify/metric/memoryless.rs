@@ -146,7 +146,7 @@ impl System {
     fn solve(&self) -> Option<DVec3> {
         let [xx, xy, xz, yy, yz, zz] = self.matrix;
         let hold = SHAPE * (xx + yy + zz) / self.count.max(1.0);
-        if !(hold > 0.0) {
+        if hold.is_nan() || hold <= 0.0 {
             return None;
         }
         let more = hold * self.count;

@@ -448,6 +448,24 @@ fn a_placed_sequence_comes_back_from_its_blob_and_cuts_alike_on_any_thread_count
 }
 
 #[test]
+fn a_model_of_any_size_is_collapsed_alike() {
+    let mesh = painted_field();
+    let order = |scale: f32, options: &SimplifyOptions| -> Vec<[u32; 2]> {
+        let mut raw = mesh.clone().into_raw();
+        raw.positions.iter_mut().for_each(|p| *p *= scale);
+        let sequence = collapse(&Mesh::new(raw).unwrap(), &[], None, options);
+        sequence.collapses.iter().map(|c| [c.from, c.to]).collect()
+    };
+    for options in [SimplifyOptions::default(), memoryless()] {
+        let own = order(1.0, &options);
+        // Powers of two round alike.
+        for exponent in [-40, 40] {
+            assert!(order(2.0_f32.powi(exponent), &options) == own, "2^{exponent}, {:?}", options.metric);
+        }
+    }
+}
+
+#[test]
 fn a_texture_that_slides_has_a_price_and_one_that_does_not_has_none() {
     // A flat sheet: no collapse costs the surface anything, so only the texture tells the order.
     let mut raw = fixtures::grid(24, 24).into_raw();

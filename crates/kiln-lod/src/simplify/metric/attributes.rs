@@ -37,6 +37,8 @@ const MOST: usize = 9;
 pub(crate) struct AttributeForms {
     /// Attributes a wedge.
     count: usize,
+    /// 1 / diagonal: all lengths are shares of it, so that models of any size fit single precision.
+    inverse: f32,
     /// `[vertex_count] x count`, as lengths.
     values: Vec<f32>,
     /// `[vertex_count] x (FIXED + 4 count)`: M (xx, xy, xz, yy, yz, zz), m, c, W, then G and D of each attribute.
@@ -48,13 +50,13 @@ impl AttributeForms {
     pub(crate) fn new(mesh: &Mesh) -> Option<AttributeForms> {
         let uv = mesh.atlas_uv.as_deref().or(mesh.uv0.as_deref());
         let uv_scale = uv.map(|uv| texture_lengths(mesh, uv));
-        let diagonal = f64::from(mesh.diagonal());
-        let (normal, color) = ((NORMAL * diagonal) as f32, (COLOR * diagonal) as f32);
+        let (normal, color) = (NORMAL as f32, COLOR as f32);
+        let inverse = mesh.diagonal().recip();
         let count = [(uv.is_some(), 2), (mesh.normals.is_some(), 3), (mesh.colors.is_some(), 4)]
             .iter()
             .map(|(there, n)| if *there { *n } else { 0 })
             .sum::<usize>();
-        if count == 0 || mesh.face_count() == 0 {
+        if count == 0 || mesh.face_count() == 0 || !inverse.is_finite() {
             return None;
         }
         let mut submesh = vec![0; mesh.vertex_count()];
@@ -66,7 +68,7 @@ impl AttributeForms {
         let mut values = Vec::with_capacity(count * mesh.vertex_count());
         for v in 0..mesh.vertex_count() {
             if let (Some(uv), Some(scale)) = (uv, &uv_scale) {
-                values.extend((uv[v] * scale[submesh[v]]).to_array());
+                values.extend((uv[v] * scale[submesh[v]] * inverse).to_array());
             }
             if let Some(normals) = &mesh.normals {
                 values.extend((normals[v] * normal).to_array());
@@ -76,7 +78,7 @@ impl AttributeForms {
             }
         }
         let stride = FIXED + 4 * count;
-        let mut own = AttributeForms { count, values, forms: vec![0.0; stride * mesh.vertex_count()] };
+        let mut own = AttributeForms { count, inverse, values, forms: vec![0.0; stride * mesh.vertex_count()] };
         for triangle in &mesh.triangles {
             own.add_face(mesh, triangle);
         }
@@ -85,7 +87,7 @@ impl AttributeForms {
 
     fn add_face(&mut self, mesh: &Mesh, triangle: &[u32; 3]) {
         let [a, b, c] = triangle.map(|v| mesh.positions[v as usize]);
-        let (ab, ac) = (b - a, c - a);
+        let (ab, ac) = ((b - a) * self.inverse, (c - a) * self.inverse);
         let (bb, bc, cc) = (ab.length_squared(), ab.dot(ac), ac.length_squared());
         let determinant = bb * cc - bc * bc;
         // A needle has a gradient along itself only, and little area to count.
@@ -119,9 +121,10 @@ impl AttributeForms {
         }
     }
 
-    /// What it costs to give the faces of `wedge` the attributes of `partner`, `step` away.
+    /// What it costs to give the faces of `wedge` the attributes of `partner`, `step` away: by the diagonal to the fourth.
     #[inline]
     pub(crate) fn cost(&self, wedge: u32, partner: u32, step: Vec3) -> f32 {
+        let step = step * self.inverse;
         let (w, p) = (wedge as usize * self.count, partner as usize * self.count);
         let form = &self.forms[wedge as usize * (FIXED + 4 * self.count)..][..FIXED + 4 * self.count];
         let moved = matrix_times(form, step) + Vec3::new(form[6], form[7], form[8]) * 2.0;
@@ -138,6 +141,7 @@ impl AttributeForms {
         let stride = FIXED + 4 * self.count;
         let mut moved = [0.0; FIXED + 4 * MOST];
         let error = self.cost(wedge, partner, step);
+        let step = step * self.inverse;
         let form = &self.forms[wedge as usize * stride..][..stride];
         let (w, p) = (wedge as usize * self.count, partner as usize * self.count);
         moved[..stride].copy_from_slice(form);

@@ -347,7 +347,7 @@ impl QuadricMetric {
 
     fn slide(&self, attributes: &AttributeForms, work: &Working<'_>, [from, to, corner]: [u32; 3], step: Vec3) -> f32 {
         let pairs = work.pairs_beside(from, to, corner).into_iter().flatten();
-        pairs.map(|[wedge, partner]| attributes.cost(wedge, partner, step)).sum::<f32>() * self.scale as f32
+        pairs.map(|[wedge, partner]| attributes.cost(wedge, partner, step)).sum()
     }
 }
 
@@ -401,7 +401,7 @@ impl Metric for QuadricMetric {
         *own += (moved.one.max(0.0) * self.scale) as f32;
         if let Some(attributes) = &mut self.attributes {
             for [wedge, partner] in &work.map {
-                *own += attributes.cost(*wedge, *partner, step) * self.scale as f32;
+                *own += attributes.cost(*wedge, *partner, step);
                 attributes.merge(*wedge, *partner, step);
             }
         }

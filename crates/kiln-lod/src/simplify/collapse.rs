@@ -15,6 +15,7 @@
 //! `to`, which is priced anew, and at the neighbours of `from`, which get `to` as a target (and are priced anew if their
 //! bound rests on a target that was illegal). A metric whose costs may fall has all neighbours of `to` priced anew.
 
+use glam::DVec3;
 use kiln_asset::Mesh;
 use rayon::prelude::*;
 
@@ -52,6 +53,8 @@ pub(super) struct Collapser<'a, M> {
     best: Vec<u32>,
     /// Targets of the point at hand.
     targets: Vec<Target>,
+    /// Where the point that stays goes, of the last test.
+    place: Option<DVec3>,
     faces_left: u32,
     error: f64,
     out: CollapseSequence,
@@ -66,6 +69,7 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
             floor: options.floor,
             heap: Heap::new(),
             targets: Vec::new(),
+            place: None,
             faces_left: mesh.face_count() as u32,
             error: 0.0,
             out: CollapseSequence::new(mesh.face_count() as u32, mesh.vertex_count() as u32),
@@ -164,9 +168,10 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
         self.work.points[from as usize].state = State::Blocked;
     }
 
+    /// The rule that forbids taking `from` to `to`; leaves what [`Collapser::collapse`] needs.
     fn test(&mut self, from: u32, to: u32) -> Option<Rule> {
-        let place = if M::PLACES { self.metric.place(&self.work, from, to) } else { None };
-        self.work.test(from, to, place)
+        self.place = if M::PLACES { self.metric.place(&self.work, from, to) } else { None };
+        self.work.test(from, to, self.place)
     }
 
     #[inline]
@@ -200,16 +205,15 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
         }
     }
 
-    /// Takes `from`, whose partners the test left in the map, to `to`.
+    /// Takes `from` to `to`, which were tested last.
     fn collapse(&mut self, from: u32, to: u32) {
-        let place = if M::PLACES { self.metric.place(&self.work, from, to) } else { None };
         self.error = self.error.max(self.metric.merge(&mut self.work, from, to));
         let (first_face, first_pair) = (self.out.faces.len() as u32, self.out.pairs.len() as u32);
         self.out.pairs.extend_from_slice(&self.work.map);
         self.work.collapse(from, to);
         if M::PLACES {
             let position = &mut self.work.points[to as usize].position;
-            *position = place.map_or(*position, |place| place.as_vec3());
+            *position = self.place.map_or(*position, |place| place.as_vec3());
             self.out.places.push(position.to_array());
             self.metric.star_changed(&self.work, to);
             for i in 0..self.work.corners(to).len() {

@@ -230,7 +230,8 @@ impl Fit<'_> {
             undo_turned(faces, &start, &mut at, turn_cosine);
         }
         // As they will be stored.
-        let rounded = |(at, home): (&DVec3, &DVec3)| (at != home).then(|| at.as_vec3());
+        let rounded =
+            |(at, home): (&DVec3, &DVec3)| (at != home).then(|| at.as_vec3()).filter(|place| place.is_finite());
         at.iter().zip(&home).map(rounded).collect()
     }
 
@@ -321,7 +322,18 @@ impl Fit<'_> {
         let place = |v: &u32| stars.nearest(&at, self.heirs[*v as usize], self.place_of_sample(*v));
         let places: Vec<Place> = self.chosen.par_iter().map(place).collect();
         let loose: Vec<bool> = self.point_of.iter().map(|p| forms[*p as usize].is_some()).collect();
-        let job = AttributeFit { fit: self, triangles: &triangles, places: &places, loose: &loose };
+        // By the mean, so that single precision holds the areas of models of any size.
+        let sum: f64 = self.chosen.iter().map(|v| self.samples.area[*v as usize]).sum();
+        let weights: Vec<f32> =
+            (self.chosen.iter().map(|v| (self.samples.area[*v as usize] * self.chosen.len() as f64 / sum) as f32))
+                .collect();
+        let job = AttributeFit {
+            weights: &weights,
+            chosen: &self.chosen,
+            triangles: &triangles,
+            places: &places,
+            loose: &loose,
+        };
         for (own, theirs) in [
             (&mut raw.uv0, &self.source.uv0),
             (&mut raw.uv1, &self.source.uv1),
@@ -332,19 +344,19 @@ impl Fit<'_> {
             }
         }
         if let (Some(own), Some(theirs)) = (&mut raw.colors, &self.source.colors) {
-            job.solve(own, theirs);
+            job.solve(own, theirs, |color| color.is_finite());
             own.iter_mut().for_each(|color| *color = color.max(Vec4::ZERO));
         }
         if let (Some(own), Some(theirs)) = (&mut raw.normals, &self.source.normals) {
             let old = own.clone();
-            job.solve(own, theirs);
+            job.solve(own, theirs, |normal| normal.is_finite());
             for ((new, old), loose) in own.iter_mut().zip(old).zip(&loose) {
                 *new = if *loose { new.normalize_or(old) } else { old };
             }
         }
         if let (Some(own), Some(theirs)) = (&mut raw.tangents, &self.source.tangents) {
             let old = own.clone();
-            job.solve(own, theirs);
+            job.solve(own, theirs, |tangent| tangent.is_finite());
             for ((new, old), loose) in own.iter_mut().zip(old).zip(&loose) {
                 // A chart has one hand; mirrored ones meet at seams, where vertices part.
                 *new = if *loose { new.truncate().normalize_or(old.truncate()).extend(old.w) } else { old };
@@ -544,7 +556,9 @@ fn corners_of_vertices(raw: &RawMesh) -> (Vec<u32>, Vec<u32>) {
 
 /// What the least squares of one attribute need.
 struct AttributeFit<'a> {
-    fit: &'a Fit<'a>,
+    /// The source's vertices that speak, and what each counts.
+    chosen: &'a [u32],
+    weights: &'a [f32],
     triangles: &'a [[u32; 3]],
     places: &'a [Place],
     /// `[vertex_count]`: whether the attribute may change.
@@ -555,7 +569,7 @@ impl AttributeFit<'_> {
     /// Texture coordinates: vertices of faces that turned over in the UV plane go back.
     fn uvs(&self, own: &mut [Vec2], theirs: &[Vec2]) {
         let start = own.to_vec();
-        self.solve(own, theirs);
+        self.solve(own, theirs, |uv| uv.is_finite());
         loop {
             let mut back: Vec<u32> = Vec::new();
             for triangle in self.triangles {
@@ -578,14 +592,15 @@ impl AttributeFit<'_> {
         }
     }
 
-    fn solve<T>(&self, own: &mut [T], theirs: &[T])
+    /// Values that single precision cannot hold stay as they were.
+    fn solve<T>(&self, own: &mut [T], theirs: &[T], finite: impl Fn(&T) -> bool)
     where
         T: Copy + Default + Add<Output = T> + Sub<Output = T> + Mul<f32, Output = T>,
     {
         let mut sums: Vec<(T, f32)> = vec![(T::default(), 0.0); own.len()];
         for _ in 0..ATTRIBUTE_SWEEPS {
             sums.fill((T::default(), 0.0));
-            for (v, place) in self.fit.chosen.iter().zip(self.places) {
+            for ((v, area), place) in self.chosen.iter().zip(self.weights).zip(self.places) {
                 if place.face == NONE {
                     continue;
                 }
@@ -594,14 +609,15 @@ impl AttributeFit<'_> {
                 let on = own[triangle[0]] * a + own[triangle[1]] * b + own[triangle[2]] * c;
                 let left = theirs[*v as usize] - on;
                 for k in 0..3 {
-                    let weight = self.fit.samples.area[*v as usize] as f32 * place.bary[k];
+                    let weight = area * place.bary[k];
                     let sum = &mut sums[triangle[k]];
                     *sum = (sum.0 + left * weight, sum.1 + weight);
                 }
             }
             for ((value, sum), loose) in own.iter_mut().zip(&sums).zip(self.loose) {
                 if *loose && sum.1 > f32::MIN_POSITIVE {
-                    *value = *value + sum.0 * (1.0 / sum.1);
+                    let new = *value + sum.0 * (1.0 / sum.1);
+                    *value = if finite(&new) { new } else { *value };
                 }
             }
         }

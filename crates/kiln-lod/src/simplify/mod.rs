@@ -4,14 +4,14 @@
 //! with its measured distance to the source. Must not change: submeshes (names, order, materials), charts (attributes never
 //! cross a seam), joined borders (no crack), and in a level that keeps all triangles, any bit.
 //!
-//! **Method.** Half-edge collapse: `from` goes, `to` stays where it is.
+//! **Method.** Half-edge collapse: `from` goes, `to` stays, where it is or where the metric puts it.
 //! ```text
-//! quadrics  <- area-weighted planes of the faces; planes along border, seam and boundary edges
+//! metric    <- what each collapse costs (metric): planes of the source and the slide of its attributes, or volumes
 //! heap      <- for each point its cheapest target that the table of kinds allows
 //! while the heap has a point, and more faces than the floor are left:
 //!     test the cheapest: link, partners, turn, sliver, UV          (rules)
 //!     forbidden: the point's next dearer target; else
-//!     collapse: faces at both ends vanish, wedges go to their partners, quadrics add; log it
+//!     collapse: faces at both ends vanish, wedges go to their partners, the metric merges both points; log it
 //!     price `to` and its neighbours again
 //! level     <- the shortest prefix of the log that meets the budget, replayed; free placement moves its points to where their
 //!              level lies nearest to its source (fit); then its distance to the source is measured
@@ -21,13 +21,13 @@
 //! No crack can open: submeshes share points, and a point of a seam or boundary goes with all its wedges at once, each to the
 //! wedge that its own faces have at the other end.
 //!
-//! **Departures.** Garland and Heckbert place the kept point where the quadric is least at every collapse; here it is an end (so
-//! that levels are subsets of one vertex buffer), or moves once, after the cut; and they weigh border planes by 1000, here by a factor found on open scans. Lines use the
-//! same plane weights in a scale-free unit (square edge length).
+//! **Departures.** Garland and Heckbert place the kept point where the quadric is least at every collapse; under `quadric` it is an
+//! end (so that levels are subsets of one vertex buffer), or moves once, after the cut. They weigh border planes by 1000; here lines
+//! weigh by the square length of their edges, borders a hundred times that, found on open scans.
 //!
 //! **Limits.** Points where lines meet and points without a fan never go, so models of many small charts or parts stop early; the
-//! report counts what each rule forbade. Attributes do not price collapses yet, they only forbid those across seams; creases
-//! (wedges that differ in normal only) hold nothing: a wedge takes the nearest normal at the kept point.
+//! report counts what each rule forbade. Attributes never cross a seam whatever their price; creases (wedges that differ in normal
+//! only) hold nothing beyond what shading costs: a wedge takes the nearest normal at the kept point.
 //!
 //! **Sources.** M. Garland, P. Heckbert, "Surface simplification using quadric error metrics", SIGGRAPH 1997,
 //! doi:10.1145/258734.258849. C. Gonzalez, PhD thesis, Universitat Jaume I 2010, chapter 3 (boundaries). Link condition: T. Dey

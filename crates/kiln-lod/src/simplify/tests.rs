@@ -482,3 +482,37 @@ fn a_texture_that_slides_has_a_price_and_one_that_does_not_has_none() {
         [0.0, 12.0].map(|low| level.positions.iter().filter(|p| p.x > low && p.x < low + 12.0).count());
     assert!(2 * curved < 3 * straight, "{straight}, {curved} without attributes");
 }
+
+#[test]
+fn coordinates_at_the_end_of_single_precision_are_survived() {
+    for options in [SimplifyOptions::default(), memoryless()] {
+        for size in [3e38, 1e30, 2e19, 1e18, 1e-18, 1e-30, f32::MIN_POSITIVE] {
+            let mut raw = painted_field().into_raw();
+            raw.positions.iter_mut().for_each(|p| *p = *p / 48.0 * size);
+            raw.uv0.as_mut().unwrap().iter_mut().for_each(|uv| *uv *= size);
+            let mesh = Mesh::new(raw).unwrap();
+            simplify(&mesh, 300, Placement::Free, &options);
+        }
+    }
+}
+
+#[test]
+fn a_hub_costs_no_more_than_the_square_of_its_faces() {
+    // A disc of one fan with a wedge for every face at its centre: the cube of its faces would take a quarter of an hour.
+    let count = 8000_u32;
+    let rim = |i: u32| {
+        let angle = f64::from(i % count) / f64::from(count) * std::f64::consts::TAU;
+        Vec3::new(libm::cos(angle) as f32, libm::sin(angle) as f32, 0.0)
+    };
+    let positions = (0..count).flat_map(|i| [rim(i), rim(i + 1), Vec3::Z * 0.1]).collect();
+    let triangles: Vec<[u32; 3]> = (0..count).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+    let normals = Some((0..count).flat_map(|i| [rim(i); 3]).collect());
+    let submeshes = vec![kiln_asset::Submesh { name: "disc".into(), source_triangles: count, ..Default::default() }];
+    let face_submesh = vec![kiln_asset::SubmeshId(0); triangles.len()];
+    let raw = kiln_asset::RawMesh { positions, normals, triangles, face_submesh, submeshes, ..Default::default() };
+    let mesh = Mesh::new(raw).unwrap();
+    for options in [SimplifyOptions::default(), memoryless()] {
+        let level = simplify(&mesh, count / 10, Placement::Free, &options);
+        assert!(level.face_count() as u32 <= count / 10, "{} faces", level.face_count());
+    }
+}

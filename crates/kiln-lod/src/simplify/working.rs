@@ -41,6 +41,9 @@ pub(super) struct Point {
     parted: bool,
 }
 
+/// Faces at a point above which its attributes are priced by one side of an edge.
+const HUB: u32 = 64;
+
 /// A face; `points[0]` is [`NONE`] once it has vanished.
 #[derive(Clone, Copy)]
 pub(super) struct Face {
@@ -174,7 +177,8 @@ impl<'a> Working<'a> {
         let known = (corner != NONE).then_some(corner).or_else(|| self.corner_towards(from, to));
         let Some(corner) = known else { return [None; 2] };
         let pair = self.pair(corner, to);
-        if !self.points[from as usize].parted {
+        // Asking all faces for each target of a hub would take the square of their number; there one side speaks for both.
+        if !self.points[from as usize].parted || self.points[from as usize].count > HUB {
             return [Some(pair), None];
         }
         let other = self.corners(from).iter().find(|c| **c != corner && self.others(**c).contains(&to));

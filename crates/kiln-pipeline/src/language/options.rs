@@ -43,7 +43,7 @@ choices! {
     pub enum Metric {
         /// Area-weighted plane quadrics with border, seam and boundary constraints, and the slide of attributes.
         "quadric" => Quadric,
-        /// Volume, border and shape of the mesh as it is (Lindstrom and Turk): least error of all, at a third of the speed; free
+        /// Volume, border and shape of the mesh as it is (Lindstrom and Turk): least error of all, at half the speed; free
         /// placement only.
         "memoryless" => Memoryless,
         later {
@@ -64,7 +64,8 @@ choices! {
     pub enum Placement {
         /// On the end that stays: no new positions, so levels can share one vertex buffer.
         "half-edge" => HalfEdge,
-        /// Where the level lies nearest to its source; attributes follow. Half the error, vertices of its own for every level.
+        /// Where the level lies nearest to its source; attributes follow. Four tenths less error, vertices of its own for
+        /// every level.
         "free" => Free,
     }
 }

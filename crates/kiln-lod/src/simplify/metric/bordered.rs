@@ -14,6 +14,8 @@ use crate::topology::NONE;
 pub(in crate::simplify) struct Bordered<'a, M> {
     base: M,
     surcharge: Surcharge<'a>,
+    /// The surcharge is measured against costs in the quadric metric's unit.
+    unit: f32,
     mesh: &'a Mesh,
     /// `[point_count]`: whether an edge at the point crossed a border when it was priced last.
     near: Vec<bool>,
@@ -28,7 +30,7 @@ impl<'a, M: Metric> Bordered<'a, M> {
     ) -> Bordered<'a, M> {
         let surcharge = Surcharge::new(borders, mesh);
         let near = (0..work.points.len() as u32).map(|p| surcharge.near(mesh, work.star(p, NONE))).collect();
-        Bordered { base, surcharge, mesh, near }
+        Bordered { unit: base.quadric_unit(), base, surcharge, mesh, near }
     }
 }
 
@@ -37,7 +39,7 @@ impl<M: Metric> Metric for Bordered<'_, M> {
     const PLACES: bool = M::PLACES;
 
     fn cost(&self, work: &Working<'_>, from: u32, to: u32, corner: u32) -> f32 {
-        let base = self.base.cost(work, from, to, corner);
+        let base = self.base.cost(work, from, to, corner) * self.unit;
         if !self.near[from as usize] {
             return base;
         }

@@ -33,12 +33,16 @@ use crate::topology::{NONE, PointKind};
 const SHAPE: f64 = 1e-5;
 /// What the border term counts beside the volume term.
 const BORDER: f64 = 72.0;
+/// Faces at a point above which they are sorted to be found.
+const HUB: usize = 16;
 /// Brings costs by the diagonal^6 into the middle of what single precision holds.
 const UNIT: f64 = 1e18;
 
 pub(in crate::simplify) struct Memoryless {
     /// [`UNIT`] / diagonal^6.
     scale: f64,
+    /// What brings a cost to the unit of the quadric metric.
+    unit: f32,
     /// `[point_count]`.
     stars: Vec<Star>,
     /// `[point_count]`: how far the mesh at the point may be off its source, object units.
@@ -167,12 +171,20 @@ impl System {
     }
 }
 
+fn area([a, b, c]: [DVec3; 3]) -> f64 {
+    0.5 * (b - a).cross(c - a).length()
+}
+
 impl Memoryless {
     pub(in crate::simplify) fn new(mesh: &Mesh, work: &Working<'_>) -> Memoryless {
         let diagonal = f64::from(mesh.diagonal());
         let scale = if diagonal > 0.0 { UNIT * diagonal.powi(-6) } else { 1.0 };
         let stars = (0..work.points.len() as u32).into_par_iter().map(|p| Star::of(work, p)).collect();
-        Memoryless { scale, stars, errors: vec![0.0; mesh.point_count()] }
+        // A square volume is a square distance times an area times four times the area of a face, in the mean.
+        let area: f64 = mesh.triangles.iter().map(|t| t.map(|v| mesh.positions[v as usize].as_dvec3())).map(area).sum();
+        let unit = (diagonal * diagonal * mesh.face_count() as f64 / (4.0 * UNIT * area)) as f32;
+        let unit = if unit.is_finite() { unit } else { 0.0 };
+        Memoryless { scale, unit, stars, errors: vec![0.0; mesh.point_count()] }
     }
 
     /// The system of the edge, and the place of the point that stays: both relative to the one that goes.
@@ -192,14 +204,14 @@ impl Memoryless {
         let [xx, _, _, yy, _, zz] = system.matrix;
         system.square = xx + yy + zz;
         if work.points[from as usize].kind == PointKind::Border {
-            let ends = [from, to].map(|p| (p, work.points[p as usize].line));
-            let [(_, line), (_, onward)] = ends;
-            system.add_border(DVec3::ZERO, stays, BORDER * edge);
+            let [line, onward] = [from, to].map(|p| work.points[p as usize].line);
+            let weight = BORDER * edge;
+            system.add_border(DVec3::ZERO, stays, weight);
             for q in line.into_iter().filter(|q| *q != to && *q != NONE) {
-                system.add_border(place(q), DVec3::ZERO, BORDER * edge);
+                system.add_border(place(q), DVec3::ZERO, weight);
             }
             for q in onward.into_iter().filter(|q| *q != from && *q != NONE) {
-                system.add_border(stays, place(q), BORDER * edge);
+                system.add_border(stays, place(q), weight);
             }
         }
         (system, stays)
@@ -222,6 +234,10 @@ impl Metric for Memoryless {
         (system.cost(v) * self.scale) as f32
     }
 
+    fn quadric_unit(&self) -> f32 {
+        self.unit
+    }
+
     fn offers(&self, work: &Working<'_>, from: u32, to: u32) -> bool {
         from < to || work.points[to as usize].kind != PointKind::Manifold
     }
@@ -231,6 +247,19 @@ impl Metric for Memoryless {
         let place = |p: u32| (work.points[p as usize].position - origin).as_dvec3();
         let own = &self.stars[from as usize];
         let corners = work.corners(from);
+        let mut sides: Vec<[u32; 2]> = Vec::new();
+        if corners.len() > HUB {
+            sides.extend(corners.iter().map(|c| work.others(*c)).map(|[before, to]| [to, before]));
+            sides.sort_unstable();
+        }
+        // The point before `to` around `from`.
+        let before = |to: u32| {
+            if corners.len() > HUB {
+                let at = sides.partition_point(|side| side[0] < to);
+                return sides.get(at).filter(|side| side[0] == to).map(|side| side[1]);
+            }
+            corners.iter().map(|c| work.others(*c)).find(|others| others[1] == to).map(|others| others[0])
+        };
         for corner in corners {
             let [to, after] = work.others(*corner);
             if !self.offers(work, from, to) {
@@ -239,7 +268,7 @@ impl Metric for Memoryless {
             let stays = place(to);
             let mut system = System::of(own, &self.stars[to as usize], stays);
             system.drop_face(stays.cross(place(after)));
-            if let Some([before, _]) = corners.iter().map(|c| work.others(*c)).find(|others| others[1] == to) {
+            if let Some(before) = before(to) {
                 system.drop_face(place(before).cross(stays));
             }
             let v = if Memoryless::moves(work, from, to) { system.solve().unwrap_or(stays) } else { stays };
@@ -252,7 +281,8 @@ impl Metric for Memoryless {
             return None;
         }
         let (system, _) = self.system(work, from, to);
-        system.solve().map(|v| work.points[from as usize].position.as_dvec3() + v)
+        let place = system.solve().map(|v| work.points[from as usize].position.as_dvec3() + v);
+        place.filter(|place| place.as_vec3().is_finite())
     }
 
     fn star_changed(&mut self, work: &Working<'_>, p: u32) {

@@ -27,6 +27,11 @@ pub(super) trait Metric {
     /// Whether points that stay move; then the log keeps their places.
     const PLACES: bool = false;
 
+    /// What brings a cost to square distance times area by the diagonal to the fourth, in the mean over the mesh.
+    fn quadric_unit(&self) -> f32 {
+        1.0
+    }
+
     /// What taking `from` to `to` costs: unitless, 0 or more. `corner`, if the caller
     /// has one, lies at `from`, and its face holds `to`, too; else it is [`NONE`](crate::topology::NONE).
     fn cost(&self, work: &Working<'_>, from: u32, to: u32, corner: u32) -> f32;

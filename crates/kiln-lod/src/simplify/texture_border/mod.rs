@@ -338,11 +338,13 @@ impl<'a> Surcharge<'a> {
 
     /// Whether an edge at a point with these faces crosses a border.
     pub(super) fn near(&self, mesh: &Mesh, star: impl Iterator<Item = StarFace> + Clone) -> bool {
+        // Looking for the next face spares asking an edge twice, but takes the square of the faces at a hub.
+        let few = star.size_hint().0 <= 32;
         star.clone().any(|face| {
             let [p, a, b] = face.wedges;
             let crosses = |end: u32| self.borders.affected(face.submesh, uv_sets(mesh, p), uv_sets(mesh, end));
             // Inside a chart the next face has the last edge of this one.
-            crosses(a) || (!star.clone().any(|next| next.wedges[..2] == [p, b]) && crosses(b))
+            crosses(a) || (!(few && star.clone().any(|next| next.wedges[..2] == [p, b])) && crosses(b))
         })
     }
 

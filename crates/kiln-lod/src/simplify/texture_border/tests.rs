@@ -8,7 +8,7 @@ use crate::simplify::collapse::Collapser;
 use crate::simplify::metric::bordered::Bordered;
 use crate::simplify::metric::quadric::Forms;
 use crate::simplify::{
-    CollapseSequence, Conditions, Placement, SimplifyOptions, collapse, collapse_under, cut, prepared,
+    CollapseSequence, Conditions, MetricKind, Placement, SimplifyOptions, collapse, collapse_under, cut, prepared,
 };
 use crate::topology::Topology;
 
@@ -214,12 +214,15 @@ fn triangles_stay_where_the_paint_has_a_border() {
     let mesh = with_uvs(fixtures::field(48, 48, |x, y| 0.05 * ((x * 0.9).sin() + (y * 0.7).cos())));
     let mut borders = borders_of(&mesh, &step_at(0.51));
     (borders.weight, borders.cost) = (10.0, BorderCost::Area);
-    let options = SimplifyOptions::default();
-    let [plain, bordered] = [collapse(&mesh, &[], None, &options), bordered(&mesh, &borders, &options)]
-        .map(|sequence| cut(&mesh, &[], &sequence, 800, Placement::HalfEdge));
-    assert!(plain.face_count().abs_diff(bordered.face_count()) < 2);
-    let [without, with] = [&plain, &bordered].map(|level| edges_across(level, 48.0 * 0.51));
-    assert!(with * 2 > without * 3, "{with} edges cross the step where {without} did");
+    for metric in [MetricKind::Quadric, MetricKind::Memoryless] {
+        let options = SimplifyOptions { metric, ..SimplifyOptions::default() };
+        let placement = if metric == MetricKind::Quadric { Placement::HalfEdge } else { Placement::Free };
+        let [plain, bordered] = [collapse(&mesh, &[], None, &options), bordered(&mesh, &borders, &options)]
+            .map(|sequence| cut(&mesh, &[], &sequence, 800, placement));
+        assert!(plain.face_count().abs_diff(bordered.face_count()) < 2);
+        let [without, with] = [&plain, &bordered].map(|level| edges_across(level, 48.0 * 0.51));
+        assert!(with * 2 > without * 3, "{metric:?}: {with} edges cross the step where {without} did");
+    }
 }
 
 #[test]

@@ -168,6 +168,36 @@ impl Topology {
         topology
     }
 
+    /// Turns the edge of `corner`'s half-edge to the other diagonal of its two faces: out of (a, b, c) and (b, a, d), the edge from a to
+    /// b, come (a, d, c) and (d, b, c), in the same two places. The corners at points do not follow; see [`Topology::sort_corners`].
+    pub(crate) fn flip(&mut self, corner: u32) {
+        let twin = self.twin[corner as usize / 3][corner as usize % 3];
+        let (f, g) = (corner / 3, twin / 3);
+        let around = [next(twin), previous(corner), previous(twin), next(corner)];
+        let at = |c: u32| (c as usize / 3, c as usize % 3);
+        let outer = around.map(|c| {
+            let (face, k) = at(c);
+            (self.twin[face][k], self.edge_kinds[face][k])
+        });
+        let point = |c: u32| self.face_points[at(c).0][at(c).1];
+        let [a, b, c, d] = [corner, next(corner), previous(corner), previous(twin)].map(point);
+        (self.face_points[f as usize], self.face_points[g as usize]) = ([a, d, c], [d, b, c]);
+        for (place, (twin, kind)) in [3 * f, 3 * f + 2, 3 * g, 3 * g + 1].into_iter().zip(outer) {
+            let (face, k) = at(place);
+            (self.twin[face][k], self.edge_kinds[face][k]) = (twin, kind);
+            if twin != NONE {
+                self.twin[at(twin).0][at(twin).1] = place;
+            }
+        }
+        (self.twin[f as usize][1], self.edge_kinds[f as usize][1]) = (3 * g + 2, EdgeKind::Manifold);
+        (self.twin[g as usize][2], self.edge_kinds[g as usize][2]) = (3 * f + 1, EdgeKind::Manifold);
+    }
+
+    /// Finds the corners at each point anew, after faces changed; nothing else follows.
+    pub(crate) fn sort_corners(&mut self) {
+        (self.first, self.corners) = corners_at_points(&self.face_points, self.kinds.len());
+    }
+
     /// The corners at a point, ascending.
     #[inline]
     pub fn star(&self, point: PointId) -> &[u32] {

@@ -255,7 +255,14 @@ fn replay(mesh: &Mesh, sequence: &CollapseSequence, forms: &mut Forms, count: us
 }
 
 /// The level with its points where they shall stand; the forms must stand at its cut. `held`: empty, or `[submesh_count]`.
-fn placed(mesh: &Mesh, samples: &Samples, cut: Replayed, forms: &Forms, placement: Placement, held: &[bool]) -> Mesh {
+fn placed(
+    mesh: &Mesh,
+    samples: &Samples<'_>,
+    cut: Replayed,
+    forms: &Forms,
+    placement: Placement,
+    held: &[bool],
+) -> Mesh {
     if placement == Placement::HalfEdge {
         return cut.level;
     }
@@ -288,7 +295,7 @@ struct Cutter<'a> {
     /// `None`: nothing is measured.
     surface: Option<error::Surface<'a>>,
     borders: Borders,
-    samples: Samples,
+    samples: Samples<'a>,
     /// `[submesh_count]`: triangles of the mesh and of the source.
     faces: Vec<u32>,
     source: Vec<u32>,
@@ -505,7 +512,13 @@ impl Made {
 }
 
 /// The cut of `mesh` with its points where they shall stand; those of submeshes that have all their faces stay.
-fn place_standing(mesh: &Mesh, samples: &Samples, standing: &Standing, placement: Placement, before: &[u32]) -> Mesh {
+fn place_standing(
+    mesh: &Mesh,
+    samples: &Samples<'_>,
+    standing: &Standing,
+    placement: Placement,
+    before: &[u32],
+) -> Mesh {
     if placement == Placement::HalfEdge {
         return standing.mesh.clone();
     }

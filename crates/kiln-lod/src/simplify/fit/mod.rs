@@ -35,12 +35,17 @@
 //! **Sources.** H. Hoppe et al., "Mesh optimization", SIGGRAPH 1993, doi:10.1145/166117.166119. M. Garland, P. Heckbert,
 //! SIGGRAPH 1997, doi:10.1145/258734.258849. The use of the log is ours.
 
-use std::ops::{Add, Mul, Sub};
+mod attributes;
+mod back;
+mod flips;
+mod stars;
 
-use glam::{DMat3, DVec3, Vec2, Vec3, Vec4};
+use glam::{DMat3, DVec3, Vec3};
 use kiln_asset::{Mesh, RawMesh};
-use kiln_geom::triangle::closest_point;
 use rayon::prelude::*;
+
+use back::ByFace;
+use stars::{Stars, frames};
 
 use super::metric::quadric::Quadric;
 use super::sequence::Replayed;
@@ -58,28 +63,34 @@ const HOLD: f64 = 1e-5;
 /// What a sample on a line counts, by the square of half its edges. The bunny's border at a hundredth keeps 0.925 of its length
 /// with 1 and 0.938 with 8.
 const LINE: f64 = 8.0;
+/// Where the source has fewer faces than this many a face of the level, the middles of its faces are samples, too: with a quarter of
+/// the weight on the corners the sums are then exact for squares.
+const SCARCE: usize = 8;
 /// The farthest that a point may go, in its shortest edges.
 const REACH: f64 = 0.5;
 /// A sample whose place lies on the rim of all faces that the walk saw belongs elsewhere if it is farther than this many mean
 /// squares.
 const STRAY: f64 = 9.0;
-/// Most points that a walk visits.
-const STEPS: usize = 6;
-/// Sweeps for attributes.
-const ATTRIBUTE_SWEEPS: usize = 8;
 
 /// What a mesh says to all levels that are cut from it, by vertex.
-pub(super) struct Samples {
+pub(super) struct Samples<'a> {
+    topology: &'a Topology,
+    /// `[point_count]`.
+    at: Vec<DVec3>,
     /// A third of the area of its faces.
     area: Vec<f64>,
     /// [`LINE`] times the square of half the length of the border, seam and boundary edges at it; 0 inside.
     line: Vec<f64>,
 }
 
-impl Samples {
-    pub(super) fn new(mesh: &Mesh, topology: &Topology) -> Samples {
+impl<'a> Samples<'a> {
+    pub(super) fn new(mesh: &Mesh, topology: &'a Topology) -> Samples<'a> {
         let mut area = vec![0.0; mesh.vertex_count()];
         let mut line = vec![0.0; mesh.vertex_count()];
+        let mut at = vec![DVec3::ZERO; mesh.point_count()];
+        for (position, p) in mesh.positions.iter().zip(&mesh.points).rev() {
+            at[p.index()] = position.as_dvec3();
+        }
         for (triangle, kinds) in mesh.triangles.iter().zip(&topology.edge_kinds) {
             let corners = triangle.map(|v| mesh.positions[v as usize].as_dvec3());
             let third = (corners[1] - corners[0]).cross(corners[2] - corners[0]).length() / 6.0;
@@ -94,7 +105,7 @@ impl Samples {
             }
         }
         line.iter_mut().for_each(|length| *length = LINE * length.powi(2));
-        Samples { area, line }
+        Samples { topology, at, area, line }
     }
 }
 
@@ -102,7 +113,7 @@ impl Samples {
 /// place; `None` where nothing fell to the point, and it stays. `turn_cosine`: of the most that a face may turn.
 pub(super) fn fit(
     source: &Mesh,
-    samples: &Samples,
+    samples: &Samples<'_>,
     cut: Replayed,
     forms: &[Option<Quadric>],
     turn_cosine: f64,
@@ -124,12 +135,11 @@ pub(super) fn fit(
         _ => true,
     };
     let forms: Vec<Option<Quadric>> = forms.iter().enumerate().map(|(p, form)| form.filter(|_| may_move(p))).collect();
-    let chosen =
-        (0..heirs.len() as u32).filter(|v| heirs[*v as usize] != NONE && samples.area[*v as usize] > 0.0).collect();
     let point_of: Vec<u32> = level.points.iter().map(|p| p.0).collect();
     let mut raw = level.into_raw();
-    let fit = Fit { source, samples, heirs: &heirs, topology: &topology, point_of: &point_of, chosen };
-    let at = fit.positions(&raw, &forms, &places, turn_cosine);
+    let chosen = Chosen::new(source, samples, &heirs, raw.triangles.len());
+    let mut fit = Fit { source, samples, heirs: &heirs, topology, point_of: &point_of, chosen };
+    let at = fit.positions(&mut raw, &forms, &places, turn_cosine);
     for (position, p) in raw.positions.iter_mut().zip(&point_of) {
         if let Some(at) = at[*p as usize] {
             *position = at;
@@ -141,27 +151,50 @@ pub(super) fn fit(
 
 struct Fit<'a> {
     source: &'a Mesh,
-    samples: &'a Samples,
+    samples: &'a Samples<'a>,
     heirs: &'a [u32],
-    topology: &'a Topology,
+    topology: Topology,
     /// Of the level's vertices.
     point_of: &'a [u32],
-    /// The vertices of the source that have an heir.
-    chosen: Vec<u32>,
+    chosen: Chosen,
 }
 
-/// Where a sample lies on the level: `face` is [`NONE`] if nowhere.
-#[derive(Clone, Copy)]
-struct Place {
-    face: u32,
-    bary: [f32; 3],
-    /// Square distance to there.
-    distance: f64,
+/// The samples: a vertex of the source by its number, the middle of a face by its number after those.
+struct Chosen {
+    /// Those that have an heir, and what each counts.
+    samples: Vec<u32>,
+    weights: Vec<f64>,
+    /// How many of them are vertices.
+    vertices: usize,
+}
+
+impl Chosen {
+    fn new(source: &Mesh, samples: &Samples<'_>, heirs: &[u32], faces: usize) -> Chosen {
+        let has_heir = |v: &u32| heirs[*v as usize] != NONE && samples.area[*v as usize] > 0.0;
+        let mut chosen: Vec<u32> = (0..heirs.len() as u32).filter(has_heir).collect();
+        let mut weights: Vec<f64> = chosen.iter().map(|v| samples.area[*v as usize]).collect();
+        let vertices = chosen.len();
+        if source.face_count() < SCARCE * faces {
+            weights.iter_mut().for_each(|w| *w *= 0.25);
+            for (f, triangle) in source.triangles.iter().enumerate() {
+                let [a, b, c] = triangle.map(|v| source.positions[v as usize].as_dvec3());
+                let area = (b - a).cross(c - a).length() / 2.0;
+                if area > 0.0 && heirs[triangle[0] as usize] != NONE {
+                    chosen.push((heirs.len() + f) as u32);
+                    weights.push(0.75 * area);
+                }
+            }
+        }
+        Chosen { samples: chosen, weights, vertices }
+    }
 }
 
 /// A sample as the sweeps want it.
 #[derive(Clone, Copy)]
 struct Tie {
+    /// The source's vertex, and the level's face that it lies on.
+    sample: u32,
+    face: u32,
     points: [u32; 3],
     bary: [f64; 3],
     direction: DVec3,
@@ -171,19 +204,30 @@ struct Tie {
 }
 
 impl Fit<'_> {
-    fn place_of_sample(&self, v: u32) -> DVec3 {
-        self.source.positions[v as usize].as_dvec3()
+    fn place_of_sample(&self, sample: u32) -> DVec3 {
+        match self.source.positions.get(sample as usize) {
+            Some(position) => position.as_dvec3(),
+            None => {
+                let corners = self.source.triangles[sample as usize - self.source.positions.len()];
+                corners.iter().map(|v| self.source.positions[*v as usize].as_dvec3()).sum::<DVec3>() / 3.0
+            }
+        }
+    }
+
+    /// A vertex of the source at or beside a sample.
+    fn vertex_at(&self, sample: u32) -> u32 {
+        let count = self.source.positions.len();
+        if (sample as usize) < count { sample } else { self.source.triangles[sample as usize - count][0] }
     }
 
     /// `[point_count]`: the new place of each point that moves.
     fn positions(
-        &self,
-        raw: &RawMesh,
+        &mut self,
+        raw: &mut RawMesh,
         forms: &[Option<Quadric>],
         places: &[Option<Vec3>],
         turn_cosine: f64,
     ) -> Vec<Option<Vec3>> {
-        let faces = &self.topology.face_points;
         // What the forms are about.
         let mut home = vec![DVec3::ZERO; forms.len()];
         for (v, p) in self.point_of.iter().enumerate().rev() {
@@ -195,7 +239,8 @@ impl Fit<'_> {
                 start[p] = place.as_dvec3();
             }
         }
-        let reach: Vec<f64> = shortest_edges(faces, &start).iter().map(|edge| edge * REACH).collect();
+        let reach: Vec<f64> =
+            shortest_edges(&self.topology.face_points, &start).iter().map(|edge| edge * REACH).collect();
         let mut at = start.clone();
         for (p, form) in forms.iter().enumerate().filter(|_| places.is_empty()) {
             let least = form.and_then(|form| form.least(form.weight * HOLD));
@@ -203,12 +248,20 @@ impl Fit<'_> {
                 at[p] += step;
             }
         }
-        undo_turned(faces, &start, &mut at, turn_cosine);
+        undo_turned(&self.topology.face_points, &start, &mut at, turn_cosine);
         let middle = at.clone();
 
         let mut pulls = vec![Pull::default(); at.len()];
-        for _ in 0..ROUNDS {
-            let ties = self.ties(&at);
+        for round in 0..ROUNDS {
+            let mut ties = self.ties(&at);
+            let mut samples = ByFace::new(&ties, raw.triangles.len());
+            let mut back = self.ties_back(&at, &samples);
+            if round > 0 && self.flip(raw, &at, [&ties, &back], &samples, |p| forms[p as usize].is_some()) {
+                ties = self.ties(&at);
+                samples = ByFace::new(&ties, raw.triangles.len());
+                back = self.ties_back(&at, &samples);
+            }
+            ties.extend(back);
             for _ in 0..SWEEPS {
                 pulls.fill(Pull::default());
                 for tie in &ties {
@@ -227,7 +280,7 @@ impl Fit<'_> {
                     }
                 }
             }
-            undo_turned(faces, &start, &mut at, turn_cosine);
+            undo_turned(&self.topology.face_points, &start, &mut at, turn_cosine);
         }
         // As they will be stored.
         let rounded =
@@ -244,9 +297,10 @@ impl Fit<'_> {
             first: &self.topology.first,
             corners: &self.topology.corners,
         };
-        let tie = |v: &u32| {
-            let x = self.place_of_sample(*v);
-            let place = stars.nearest(at, self.point_of[self.heirs[*v as usize] as usize], x);
+        let tie = |(sample, weight): (&u32, &f64)| {
+            let x = self.place_of_sample(*sample);
+            let heir = self.heirs[self.vertex_at(*sample) as usize];
+            let place = stars.nearest(at, self.point_of[heir as usize], x);
             if place.face == NONE {
                 return (None, 0.0);
             }
@@ -257,10 +311,17 @@ impl Fit<'_> {
             let rim = bary.iter().any(|b| *b <= 0.0);
             let direction =
                 if rim { (x - (a * bary[0] + b * bary[1] + c * bary[2])).normalize_or(normal) } else { normal };
-            let weight = self.samples.area[*v as usize];
-            (Some((Tie { points, bary, direction, along: direction.dot(x), weight }, rim)), place.distance)
+            let weight = *weight;
+            (
+                Some((
+                    Tie { sample: *sample, face: place.face, points, bary, direction, along: direction.dot(x), weight },
+                    rim,
+                )),
+                place.distance,
+            )
         };
-        let found: Vec<(Option<(Tie, bool)>, f64)> = self.chosen.par_iter().map(tie).collect();
+        let found: Vec<(Option<(Tie, bool)>, f64)> =
+            (self.chosen.samples.par_iter().zip(&self.chosen.weights)).map(tie).collect();
         let mut sum = [0.0; 2];
         for ((tie, _), distance) in found.iter().filter_map(|(tie, distance)| Some((tie.as_ref()?, distance))) {
             sum[0] += tie.weight * distance;
@@ -272,7 +333,7 @@ impl Fit<'_> {
 
     /// Samples on lines pull the nearer of the line's edges at their heir towards them, across it.
     fn pull_lines(&self, at: &[DVec3], pulls: &mut [Pull]) {
-        for v in &self.chosen {
+        for v in &self.chosen.samples[..self.chosen.vertices] {
             let weight = self.samples.line[*v as usize];
             let p = self.point_of[self.heirs[*v as usize] as usize];
             let line = self.topology.lines[p as usize];
@@ -298,152 +359,6 @@ impl Fit<'_> {
                 pulls[q as usize].add(n, weight * t, n.dot(left));
             }
         }
-    }
-
-    /// Fits all attributes at the points that moved, or could have.
-    fn attributes(&self, raw: &mut RawMesh, forms: &[Option<Quadric>]) {
-        let uvs = raw.uv0.is_some() || raw.uv1.is_some() || raw.atlas_uv.is_some();
-        if !uvs && raw.normals.is_none() && raw.colors.is_none() {
-            return;
-        }
-        let (first, corners) = corners_of_vertices(raw);
-        let mut at = vec![DVec3::ZERO; forms.len()];
-        for (v, p) in self.point_of.iter().enumerate().rev() {
-            at[*p as usize] = raw.positions[v].as_dvec3();
-        }
-        let triangles = std::mem::take(&mut raw.triangles);
-        let stars = Stars {
-            frames: &frames(&self.topology.face_points, &at),
-            face_points: &self.topology.face_points,
-            face_nodes: &triangles,
-            first: &first,
-            corners: &corners,
-        };
-        let place = |v: &u32| stars.nearest(&at, self.heirs[*v as usize], self.place_of_sample(*v));
-        let places: Vec<Place> = self.chosen.par_iter().map(place).collect();
-        let loose: Vec<bool> = self.point_of.iter().map(|p| forms[*p as usize].is_some()).collect();
-        // By the mean, so that single precision holds the areas of models of any size.
-        let sum: f64 = self.chosen.iter().map(|v| self.samples.area[*v as usize]).sum();
-        let weights: Vec<f32> =
-            (self.chosen.iter().map(|v| (self.samples.area[*v as usize] * self.chosen.len() as f64 / sum) as f32))
-                .collect();
-        let job = AttributeFit {
-            weights: &weights,
-            chosen: &self.chosen,
-            triangles: &triangles,
-            places: &places,
-            loose: &loose,
-        };
-        for (own, theirs) in [
-            (&mut raw.uv0, &self.source.uv0),
-            (&mut raw.uv1, &self.source.uv1),
-            (&mut raw.atlas_uv, &self.source.atlas_uv),
-        ] {
-            if let (Some(own), Some(theirs)) = (own, theirs) {
-                job.uvs(own, theirs);
-            }
-        }
-        if let (Some(own), Some(theirs)) = (&mut raw.colors, &self.source.colors) {
-            job.solve(own, theirs, |color| color.is_finite());
-            own.iter_mut().for_each(|color| *color = color.max(Vec4::ZERO));
-        }
-        if let (Some(own), Some(theirs)) = (&mut raw.normals, &self.source.normals) {
-            let old = own.clone();
-            job.solve(own, theirs, |normal| normal.is_finite());
-            for ((new, old), loose) in own.iter_mut().zip(old).zip(&loose) {
-                *new = if *loose { new.normalize_or(old) } else { old };
-            }
-        }
-        if let (Some(own), Some(theirs)) = (&mut raw.tangents, &self.source.tangents) {
-            let old = own.clone();
-            job.solve(own, theirs, |tangent| tangent.is_finite());
-            for ((new, old), loose) in own.iter_mut().zip(old).zip(&loose) {
-                // A chart has one hand; mirrored ones meet at seams, where vertices part.
-                *new = if *loose { new.truncate().normalize_or(old.truncate()).extend(old.w) } else { old };
-            }
-        }
-        raw.triangles = triangles;
-    }
-}
-
-/// What tells quickly where a place lies over a face.
-struct Frame {
-    origin: DVec3,
-    /// Dotted with the way from the origin: the barycentric coordinates of the second and third corner.
-    b: DVec3,
-    c: DVec3,
-    normal: DVec3,
-}
-
-/// `[face_count]`; no place lies over a face without area.
-fn frames(faces: &[[u32; 3]], at: &[DVec3]) -> Vec<Frame> {
-    let frame = |face: &[u32; 3]| {
-        let [a, b, c] = face.map(|p| at[p as usize]);
-        let (ab, ac) = (b - a, c - a);
-        let cross = ab.cross(ac);
-        let square = cross.length_squared();
-        let over = |edge: DVec3| if square > 0.0 { edge / square } else { DVec3::ZERO };
-        Frame { origin: a, b: over(ac.cross(cross)), c: over(cross.cross(ab)), normal: cross.normalize_or_zero() }
-    };
-    faces.par_iter().map(frame).collect()
-}
-
-/// Faces by the nodes that a walk goes over: points, or vertices, whose faces do not leave their chart.
-struct Stars<'a> {
-    frames: &'a [Frame],
-    face_points: &'a [[u32; 3]],
-    face_nodes: &'a [[u32; 3]],
-    /// `[node_count + 1]`.
-    first: &'a [u32],
-    corners: &'a [u32],
-}
-
-impl Stars<'_> {
-    /// The place of `x` in the nearest of the faces at `node` over or under which it lies; else as [`Stars::walk`] finds it.
-    fn nearest(&self, at: &[DVec3], node: u32, x: DVec3) -> Place {
-        let mut best = Place { face: NONE, bary: [0.0; 3], distance: f64::INFINITY };
-        for corner in &self.corners[self.first[node as usize] as usize..self.first[node as usize + 1] as usize] {
-            let face = corner / 3;
-            let frame = &self.frames[face as usize];
-            let way = x - frame.origin;
-            let (b, c) = (frame.b.dot(way), frame.c.dot(way));
-            let a = 1.0 - b - c;
-            if a > 0.0 && b > 0.0 && c > 0.0 {
-                let distance = frame.normal.dot(way).powi(2);
-                if distance < best.distance {
-                    best = Place { face, bary: [a, b, c].map(|share| share as f32), distance };
-                }
-            }
-        }
-        if best.face == NONE { self.walk(at, node, x) } else { best }
-    }
-
-    /// The nearest place to `x` that a walk from the faces at `node` finds: on to the nearest corner while that is nearer.
-    #[cold]
-    fn walk(&self, at: &[DVec3], mut node: u32, x: DVec3) -> Place {
-        let mut best = Place { face: NONE, bary: [0.0; 3], distance: f64::INFINITY };
-        for _ in 0..STEPS {
-            let before = best.distance;
-            for corner in &self.corners[self.first[node as usize] as usize..self.first[node as usize + 1] as usize] {
-                let face = corner / 3;
-                let [a, b, c] = self.face_points[face as usize].map(|p| at[p as usize]);
-                let near = closest_point(x, a, b, c);
-                if near.distance_squared < best.distance {
-                    best = Place { face, bary: near.bary.map(|b| b as f32), distance: near.distance_squared };
-                }
-            }
-            if best.distance >= before || best.bary.iter().all(|b| *b > 0.0) {
-                break;
-            }
-            let [a, b, c] = best.bary;
-            let nearest = if a >= b && a >= c { 0 } else { if b >= c { 1 } else { 2 } };
-            let next = self.face_nodes[best.face as usize][nearest];
-            if next == node {
-                break;
-            }
-            node = next;
-        }
-        best
     }
 }
 
@@ -531,95 +446,6 @@ fn undo_turned(faces: &[[u32; 3]], start: &[DVec3], at: &mut [DVec3], turn_cosin
         }
         for p in back {
             at[p as usize] = start[p as usize];
-        }
-    }
-}
-
-/// `(first [vertex_count + 1], corners)`: the corners that use each vertex, ascending.
-fn corners_of_vertices(raw: &RawMesh) -> (Vec<u32>, Vec<u32>) {
-    let mut first = vec![0u32; raw.positions.len() + 2];
-    for v in raw.triangles.iter().flatten() {
-        first[*v as usize + 2] += 1;
-    }
-    for i in 2..first.len() {
-        first[i] += first[i - 1];
-    }
-    let mut corners = vec![0; 3 * raw.triangles.len()];
-    for (corner, v) in raw.triangles.iter().flatten().enumerate() {
-        let slot = &mut first[*v as usize + 1];
-        corners[*slot as usize] = corner as u32;
-        *slot += 1;
-    }
-    first.pop();
-    (first, corners)
-}
-
-/// What the least squares of one attribute need.
-struct AttributeFit<'a> {
-    /// The source's vertices that speak, and what each counts.
-    chosen: &'a [u32],
-    weights: &'a [f32],
-    triangles: &'a [[u32; 3]],
-    places: &'a [Place],
-    /// `[vertex_count]`: whether the attribute may change.
-    loose: &'a [bool],
-}
-
-impl AttributeFit<'_> {
-    /// Texture coordinates: vertices of faces that turned over in the UV plane go back.
-    fn uvs(&self, own: &mut [Vec2], theirs: &[Vec2]) {
-        let start = own.to_vec();
-        self.solve(own, theirs, |uv| uv.is_finite());
-        loop {
-            let mut back: Vec<u32> = Vec::new();
-            for triangle in self.triangles {
-                let area = |uv: &[Vec2]| {
-                    let [a, b, c] = triangle.map(|v| uv[v as usize].as_dvec2());
-                    (b - a).perp_dot(c - a)
-                };
-                let changed = triangle.iter().any(|v| own[*v as usize] != start[*v as usize]);
-                let (before, after) = (area(&start), area(own));
-                if changed && (before * after < 0.0 || (before != 0.0 && after == 0.0)) {
-                    back.extend(triangle);
-                }
-            }
-            if back.is_empty() {
-                return;
-            }
-            for v in back {
-                own[v as usize] = start[v as usize];
-            }
-        }
-    }
-
-    /// Values that single precision cannot hold stay as they were.
-    fn solve<T>(&self, own: &mut [T], theirs: &[T], finite: impl Fn(&T) -> bool)
-    where
-        T: Copy + Default + Add<Output = T> + Sub<Output = T> + Mul<f32, Output = T>,
-    {
-        let mut sums: Vec<(T, f32)> = vec![(T::default(), 0.0); own.len()];
-        for _ in 0..ATTRIBUTE_SWEEPS {
-            sums.fill((T::default(), 0.0));
-            for ((v, area), place) in self.chosen.iter().zip(self.weights).zip(self.places) {
-                if place.face == NONE {
-                    continue;
-                }
-                let triangle = self.triangles[place.face as usize].map(|v| v as usize);
-                let [a, b, c] = place.bary;
-                let on = own[triangle[0]] * a + own[triangle[1]] * b + own[triangle[2]] * c;
-                let left = theirs[*v as usize] - on;
-                for k in 0..3 {
-                    let weight = area * place.bary[k];
-                    let sum = &mut sums[triangle[k]];
-                    *sum = (sum.0 + left * weight, sum.1 + weight);
-                }
-            }
-            for ((value, sum), loose) in own.iter_mut().zip(&sums).zip(self.loose) {
-                if *loose && sum.1 > f32::MIN_POSITIVE {
-                    let new = *value + sum.0 * (1.0 / sum.1);
-                    *value = if finite(&new) { new } else { *value };
-                }
-            }
         }
     }
 }

@@ -36,6 +36,8 @@ pub struct AttributeSet {
     pub colors: bool,
     /// Joint indices and weights.
     pub skin: bool,
+    /// Importance to a simplifier.
+    pub importance: bool,
 }
 
 /// An input part with one material: one glTF primitive in place.
@@ -73,6 +75,8 @@ pub struct RawMesh {
     pub joints: Option<Vec<[u16; 4]>>,
     /// `[vertex_count] x 4` joint weights.
     pub weights: Option<Vec<Vec4>>,
+    /// `[vertex_count]`, 0 or more: by how much dearer than others a vertex is to a simplifier; 1 is like all others.
+    pub importance: Option<Vec<f32>>,
     /// `[vertex_count]`, the point of each vertex. Empty: [`Mesh::new`] welds vertices of one submesh at bitwise equal
     /// positions. Only `merge` joins points of different submeshes.
     pub points: Vec<PointId>,
@@ -208,7 +212,7 @@ impl Mesh {
 
     /// The mesh as bytes for the private cache.
     pub fn to_blob(&self) -> Vec<u8> {
-        let mut blob = BlobWriter::new(*b"MESH", 1);
+        let mut blob = BlobWriter::new(*b"MESH", 2);
         self.write(&mut blob);
         blob.finish()
     }
@@ -218,7 +222,7 @@ impl Mesh {
     /// # Errors
     /// Wrong type, version, length or content.
     pub fn from_blob(bytes: &[u8]) -> Result<Mesh, BlobError> {
-        let mut blob = BlobReader::open(bytes, *b"MESH", 1)?;
+        let mut blob = BlobReader::open(bytes, *b"MESH", 2)?;
         let mesh = Mesh::read(&mut blob)?;
         blob.finish()?;
         Ok(mesh)
@@ -236,6 +240,7 @@ impl Mesh {
         blob.optional(m.colors.as_deref());
         blob.optional(m.joints.as_deref());
         blob.optional(m.weights.as_deref());
+        blob.optional(m.importance.as_deref());
         blob.array(&m.points);
         blob.array(&m.triangles);
         blob.array(&m.face_submesh);
@@ -253,6 +258,7 @@ impl Mesh {
             colors: blob.optional()?,
             joints: blob.optional()?,
             weights: blob.optional()?,
+            importance: blob.optional()?,
             points: blob.array()?,
             triangles: blob.array()?,
             face_submesh: blob.array()?,
@@ -296,6 +302,7 @@ impl RawMesh {
             colors: pick_some(&self.colors, keep),
             joints: pick_some(&self.joints, keep),
             weights: pick_some(&self.weights, keep),
+            importance: pick_some(&self.importance, keep),
             points,
             triangles,
             face_submesh,
@@ -325,6 +332,7 @@ fn check_attributes(raw: &RawMesh, vertex_count: usize, defects: &mut Defects) {
     check("colors", raw.colors.as_deref(), vertex_count, |v| v.is_finite(), defects);
     check("joints", raw.joints.as_deref(), vertex_count, |_| true, defects);
     check("weights", raw.weights.as_deref(), vertex_count, |v| v.is_finite(), defects);
+    check("importance", raw.importance.as_deref(), vertex_count, |v| v.is_finite() && *v >= 0.0, defects);
 }
 
 fn check_faces(raw: &RawMesh, vertex_count: usize, defects: &mut Defects) {

@@ -329,6 +329,8 @@ pub(crate) fn attribute_set(bits: u32) -> AttributeSet {
         uv1: has(Semantic::Uv1),
         colors: has(Semantic::Colors),
         skin: has(Semantic::Joints),
+        // Levels are cut; it has done its work.
+        importance: false,
     }
 }
 

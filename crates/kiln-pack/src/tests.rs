@@ -40,7 +40,15 @@ fn grid(n: u32) -> Mesh {
             }
         }
     }
-    let attributes = AttributeSet { normals: true, tangents: true, uv0: true, uv1: true, colors: true, skin: true };
+    let attributes = AttributeSet {
+        normals: true,
+        tangents: true,
+        uv0: true,
+        uv1: true,
+        colors: true,
+        skin: true,
+        importance: false,
+    };
     let submesh =
         |name: &str, material| Submesh { name: name.into(), material, attributes, source_triangles: 2 * n * n };
     raw.submeshes = vec![submesh("left", Some(MaterialId(0))), submesh("right", Some(MaterialId(1)))];

@@ -79,6 +79,7 @@ fn raw_mesh(view: &LevelView<'_>, submeshes: &[Submesh]) -> RawMesh {
         colors: own(view.colors()),
         joints: own(view.joints()),
         weights: own(view.weights()),
+        importance: None,
         points: Vec::new(),
         triangles: indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect(),
         face_submesh,

@@ -148,6 +148,7 @@ fn mesh(dice: &mut Dice, parts: &[(usize, usize)], material_count: usize) -> Mes
                 uv1: has[3],
                 colors: has[4],
                 skin: false,
+                importance: false,
             },
             source_triangles: *faces as u32,
         });

@@ -77,6 +77,7 @@ fn union(a: AttributeSet, b: AttributeSet) -> AttributeSet {
         uv1: a.uv1 || b.uv1,
         colors: a.colors || b.colors,
         skin: a.skin || b.skin,
+        importance: a.importance || b.importance,
     }
 }
 
@@ -161,6 +162,7 @@ impl Builder {
             colors: some(carried.colors),
             joints: some(carried.skin),
             weights: some(carried.skin),
+            importance: some(carried.importance),
             ..Default::default()
         };
         Builder { raw }
@@ -187,6 +189,7 @@ impl Builder {
         extend(&mut raw.colors, &primitive.colors, count, Vec4::ONE, |v| v);
         extend(&mut raw.joints, &primitive.joints, count, [0; 4], |v| v);
         extend(&mut raw.weights, &primitive.weights, count, Vec4::ZERO, |v| v);
+        extend(&mut raw.importance, &primitive.importance, count, 1.0, |v| v);
         let submesh = SubmeshId(raw.submeshes.len() as u32);
         let triangles = primitive.triangles.iter();
         raw.triangles.extend(triangles.map(|t| transform.triangle(*t).map(|v| first + v)));

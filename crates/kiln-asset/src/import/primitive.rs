@@ -77,6 +77,7 @@ enum Semantic {
     Color,
     Joints,
     Weights,
+    Importance,
 }
 
 /// A component type, normalised or not.
@@ -116,7 +117,7 @@ const ANY: &[Number] = &[
 ];
 
 /// What core glTF 2.0 (3.7.2.1) and the quantisation extension allow for each attribute, in the order of [`Semantic`].
-const SEMANTICS: [Rule; 8] = [
+const SEMANTICS: [Rule; 9] = [
     rule(&["VEC3"], FLOAT, ANY),
     rule(&["VEC3"], FLOAT, SIGNED),
     rule(&["VEC4"], FLOAT, SIGNED),
@@ -125,8 +126,12 @@ const SEMANTICS: [Rule; 8] = [
     rule(&["VEC3", "VEC4"], UNIT, &[]),
     rule(&["VEC4"], SMALL, &[]),
     rule(&["VEC4"], UNIT, &[]),
+    rule(&["SCALAR"], UNIT, &[]),
 ];
 const INDEX: Rule = rule(&["SCALAR"], WIDTHS, &[]);
+
+/// kiln's own attribute: how dear a vertex is to a simplifier.
+const IMPORTANCE: &str = "_KILN_WEIGHT";
 
 /// The attributes' names in the order of [`Semantic`]; which UV sets are read, the material decides.
 fn names(slots: &UvSlots) -> [String; SEMANTICS.len()] {
@@ -140,6 +145,7 @@ fn names(slots: &UvSlots) -> [String; SEMANTICS.len()] {
         "COLOR_0".into(),
         "JOINTS_0".into(),
         "WEIGHTS_0".into(),
+        IMPORTANCE.into(),
     ]
 }
 
@@ -321,6 +327,7 @@ pub(super) struct Primitive {
     pub(super) colors: Vec<Vec4>,
     pub(super) joints: Vec<[u16; 4]>,
     pub(super) weights: Vec<Vec4>,
+    pub(super) importance: Vec<f32>,
     /// Into this primitive's own vertices.
     pub(super) triangles: Vec<[u32; 3]>,
 }
@@ -355,6 +362,7 @@ pub(super) fn read_contents(
     let color = reader(Semantic::Color);
     let joints = reader(Semantic::Joints);
     let weights = reader(Semantic::Weights);
+    let importance = reader(Semantic::Importance);
     if broken {
         return None;
     }
@@ -366,6 +374,7 @@ pub(super) fn read_contents(
         .map(|k| uv[k].as_ref().map(|reader| repairs.uvs(reader, &used, def.uv_transforms[k], k)).unwrap_or_default());
     let colors = color.map(|reader| repairs.colors(&reader, &used)).unwrap_or_default();
     let weights = weights.map(|reader| repairs.weights(&reader, &used)).unwrap_or_default();
+    let importance = importance.map(|reader| repairs.importance(&reader, &used)).unwrap_or_default();
     let joints: Vec<[u16; 4]> = joints
         .map(|reader| used.iter().map(|v| reader.unsigned::<4>(*v).map(|j| j as u16)).collect())
         .unwrap_or_default();
@@ -376,9 +385,23 @@ pub(super) fn read_contents(
         uv1: !uv1.is_empty(),
         colors: !colors.is_empty(),
         skin: !joints.is_empty(),
+        importance: !importance.is_empty(),
     };
     let material = def.material;
-    Some(Primitive { material, attributes, positions, normals, tangents, uv0, uv1, colors, joints, weights, triangles })
+    Some(Primitive {
+        material,
+        attributes,
+        positions,
+        normals,
+        tangents,
+        uv0,
+        uv1,
+        colors,
+        joints,
+        weights,
+        importance,
+        triangles,
+    })
 }
 
 fn read_corners(
@@ -539,6 +562,19 @@ impl Repairs<'_> {
         let weights = used.iter().map(read).collect();
         self.note(RepairKind::WeightNotFinite, lost, Semantic::Weights);
         weights
+    }
+
+    fn importance(&mut self, reader: &Reader<'_>, used: &[u32]) -> Vec<f32> {
+        let mut lost = 0;
+        let read = |v: &u32| {
+            let [raw] = reader.floats(*v, 0.0);
+            let good = raw.is_finite() && raw >= 0.0;
+            lost += !good as usize;
+            if good { raw } else { 1.0 }
+        };
+        let importance = used.iter().map(read).collect();
+        self.note(RepairKind::ImportanceNotFinite, lost, Semantic::Importance);
+        importance
     }
 }
 

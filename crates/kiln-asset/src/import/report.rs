@@ -39,6 +39,8 @@ pub enum RepairKind {
     ColorNotFinite,
     /// Joint weights that are not finite or negative become 0.
     WeightNotFinite,
+    /// An importance (`_KILN_WEIGHT`) that is not finite or negative becomes 1.
+    ImportanceNotFinite,
     /// One or two indices behind the last whole triangle are left out.
     IndicesLeftOver,
     /// Vertices that no triangle uses are left out.
@@ -81,6 +83,7 @@ impl RepairKind {
             RepairKind::UvNotFinite => "UVs that are not finite: set to (0, 0)",
             RepairKind::ColorNotFinite => "colours that are not finite: set to white",
             RepairKind::WeightNotFinite => "joint weights that are negative or not finite: set to 0",
+            RepairKind::ImportanceNotFinite => "importances that are negative or not finite: set to 1",
             RepairKind::IndicesLeftOver => "indices behind the last whole triangle: left out",
             RepairKind::VerticesUnused => "vertices that no triangle uses: left out",
             RepairKind::Misaligned => "accessors not aligned to their component's size: read all the same",

@@ -203,6 +203,7 @@ impl Soup {
             colors,
             joints: Vec::new(),
             weights: Vec::new(),
+            importance: Vec::new(),
             triangles,
         }
     }

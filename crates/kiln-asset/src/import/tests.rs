@@ -418,6 +418,15 @@ fn many_primitives_may_share_one_large_vertex_buffer() {
     assert_eq!(small, [[3, 0, 2], [0, 3, 1]]);
 }
 
+#[test]
+fn an_importance_arrives_and_what_is_none_counts_one() {
+    let model = with_attribute("_KILN_WEIGHT", &floats(&[2.0, 0.0, -1.0, f32::NAN]), 5126, "SCALAR", false);
+    let (asset, report) = import_json(&model.gltf()).unwrap();
+    assert_eq!(asset.mesh.importance, Some(vec![2.0, 0.0, 1.0, 1.0]));
+    assert!(asset.mesh.submeshes[0].attributes.importance);
+    assert_eq!(repair_count(&report, RepairKind::ImportanceNotFinite), 2);
+}
+
 // Materials and images.
 
 #[test]

@@ -51,7 +51,7 @@ fn rebuild_where(mesh: &Mesh, angle: f32, wanted: &[bool]) -> Mesh {
     for p in 0..mesh.point_count() as u32 {
         for corner in topology.star(PointId(p)) {
             // Across the edge that leaves the point at this corner lies the corner behind the twin.
-            let twin = topology.twin[*corner as usize / 3][*corner as usize % 3];
+            let twin = topology.twin(*corner);
             if twin != NONE {
                 let beside = crate::topology::next(twin);
                 if soft(*corner as usize / 3, beside as usize / 3) {

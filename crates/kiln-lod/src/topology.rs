@@ -58,9 +58,6 @@ pub struct Topology {
     pub first: Vec<u32>,
     /// The corners at each point, ascending.
     pub corners: Vec<u32>,
-    /// `[face_count] x 3`: the corner across the half-edge's edge, in the half-edge's terms: the half-edge that runs the
-    /// other way; [`NONE`] at border and complex edges.
-    pub twin: Vec<[u32; 3]>,
     /// `[face_count] x 3`: kind of the edge of each half-edge.
     pub edge_kinds: Vec<[EdgeKind; 3]>,
     /// `[point_count]`.
@@ -94,6 +91,9 @@ struct Spoke {
     in_corner: u32,
 }
 
+/// Most faces of a fan that is judged by comparing all with all.
+const SMALL_FAN: usize = 16;
+
 /// Points that one thread judges at a time.
 const BLOCK: usize = 4096;
 
@@ -102,8 +102,8 @@ const BLOCK: usize = 4096;
 struct Block {
     kinds: Vec<PointKind>,
     lines: Vec<[u32; 2]>,
-    /// (corner of the half-edge, kind, twin).
-    edges: Vec<(u32, EdgeKind, u32)>,
+    /// (corner of the half-edge, kind) of all that are not manifold.
+    edges: Vec<(u32, EdgeKind)>,
 }
 
 impl Topology {
@@ -117,7 +117,6 @@ impl Topology {
             face_points,
             first,
             corners,
-            twin: vec![[NONE; 3]; face_count],
             edge_kinds: vec![[EdgeKind::Manifold; 3]; face_count],
             kinds: vec![PointKind::Locked; point_count],
             lines: vec![[NONE; 2]; point_count],
@@ -133,11 +132,17 @@ impl Topology {
         let blocks: Vec<Block> = (0..point_count.div_ceil(BLOCK))
             .into_par_iter()
             .map_init(
-                || (Vec::new(), vec![NONE; point_count]),
+                || (Vec::new(), Vec::new()),
                 |(spokes, spoke_of), block| {
                     let points = block * BLOCK..((block + 1) * BLOCK).min(point_count);
                     let mut said = Block::default();
                     for p in points {
+                        if topology.plain_fan(&whole, p as u32) {
+                            said.kinds.push(PointKind::Manifold);
+                            said.lines.push([NONE; 2]);
+                            continue;
+                        }
+                        spoke_of.resize(point_count, NONE);
                         topology.gather_spokes(p as u32, spokes, spoke_of);
                         topology.judge(mesh, &whole, p as u32, spokes, spoke_of, &mut said);
                         for spoke in &*spokes {
@@ -152,10 +157,8 @@ impl Topology {
             let start = block * BLOCK;
             topology.kinds[start..start + said.kinds.len()].copy_from_slice(&said.kinds);
             topology.lines[start..start + said.lines.len()].copy_from_slice(&said.lines);
-            for (corner, kind, twin) in &said.edges {
-                let (f, k) = (*corner as usize / 3, *corner as usize % 3);
-                topology.edge_kinds[f][k] = *kind;
-                topology.twin[f][k] = *twin;
+            for (corner, kind) in &said.edges {
+                topology.edge_kinds[*corner as usize / 3][*corner as usize % 3] = *kind;
             }
         }
         // Both points of a degenerate face stay where they are.
@@ -168,29 +171,19 @@ impl Topology {
         topology
     }
 
-    /// Turns the edge of `corner`'s half-edge to the other diagonal of its two faces: out of (a, b, c) and (b, a, d), the edge from a to
-    /// b, come (a, d, c) and (d, b, c), in the same two places. The corners at points do not follow; see [`Topology::sort_corners`].
-    pub(crate) fn flip(&mut self, corner: u32) {
-        let twin = self.twin[corner as usize / 3][corner as usize % 3];
-        let (f, g) = (corner / 3, twin / 3);
-        let around = [next(twin), previous(corner), previous(twin), next(corner)];
+    /// Turns the edge between `corner`'s half-edge and its `twin` to the other diagonal of its two faces: out of (a, b, c) and (b, a, d),
+    /// the edge from a to b, come (a, d, c) and (d, b, c), in the same two places. The corners at points do not follow; see
+    /// [`Topology::sort_corners`].
+    pub(crate) fn flip(&mut self, corner: u32, twin: u32) {
+        let (f, g) = (corner as usize / 3, twin as usize / 3);
         let at = |c: u32| (c as usize / 3, c as usize % 3);
-        let outer = around.map(|c| {
-            let (face, k) = at(c);
-            (self.twin[face][k], self.edge_kinds[face][k])
-        });
         let point = |c: u32| self.face_points[at(c).0][at(c).1];
+        let kind = |c: u32| self.edge_kinds[at(c).0][at(c).1];
         let [a, b, c, d] = [corner, next(corner), previous(corner), previous(twin)].map(point);
-        (self.face_points[f as usize], self.face_points[g as usize]) = ([a, d, c], [d, b, c]);
-        for (place, (twin, kind)) in [3 * f, 3 * f + 2, 3 * g, 3 * g + 1].into_iter().zip(outer) {
-            let (face, k) = at(place);
-            (self.twin[face][k], self.edge_kinds[face][k]) = (twin, kind);
-            if twin != NONE {
-                self.twin[at(twin).0][at(twin).1] = place;
-            }
-        }
-        (self.twin[f as usize][1], self.edge_kinds[f as usize][1]) = (3 * g + 2, EdgeKind::Manifold);
-        (self.twin[g as usize][2], self.edge_kinds[g as usize][2]) = (3 * f + 1, EdgeKind::Manifold);
+        let [ad, ca, db, bc] = [next(twin), previous(corner), previous(twin), next(corner)].map(kind);
+        (self.face_points[f], self.face_points[g]) = ([a, d, c], [d, b, c]);
+        self.edge_kinds[f] = [ad, EdgeKind::Manifold, ca];
+        self.edge_kinds[g] = [db, bc, EdgeKind::Manifold];
     }
 
     /// Finds the corners at each point anew, after faces changed; nothing else follows.
@@ -205,6 +198,20 @@ impl Topology {
         &self.corners[self.first[p] as usize..self.first[p + 1] as usize]
     }
 
+    /// The half-edge that runs the other way along that of `corner`; [`NONE`] at border and complex edges.
+    pub fn twin(&self, corner: u32) -> u32 {
+        let face = &self.face_points[corner as usize / 3];
+        let k = corner as usize % 3;
+        if self.edge_kinds[corner as usize / 3][k] >= EdgeKind::Border || is_degenerate(face) {
+            return NONE;
+        }
+        let to = face[(k + 1) % 3];
+        let into = |c: &u32| previous(*c);
+        let other = self.star(PointId(face[k])).iter().map(into);
+        let mut found = other.filter(|c| self.face_points[*c as usize / 3][*c as usize % 3] == to);
+        found.next().unwrap_or(NONE)
+    }
+
     /// Number of points of each kind, in the order of [`PointKind`].
     pub fn kind_counts(&self) -> [u32; 6] {
         let mut counts = [0; 6];
@@ -212,6 +219,33 @@ impl Topology {
             counts[*kind as usize] += 1;
         }
         counts
+    }
+
+    /// Whether the faces at `p` are one closed fan and all points there have one vertex each: nearly all points of most meshes, told
+    /// without spokes.
+    fn plain_fan(&self, whole: &[bool], p: u32) -> bool {
+        let star = self.star(PointId(p));
+        let count = star.len();
+        if count == 0 || count > SMALL_FAN || !whole[p as usize] {
+            return false;
+        }
+        let (mut out, mut into) = ([NONE; SMALL_FAN], [NONE; SMALL_FAN]);
+        for (i, corner) in star.iter().enumerate() {
+            let face = &self.face_points[*corner as usize / 3];
+            (out[i], into[i]) = (face[next(*corner) as usize % 3], face[previous(*corner) as usize % 3]);
+            if !whole[out[i] as usize] {
+                return false;
+            }
+        }
+        // From face to face: if it comes back after all of them and no sooner, it has seen each once, and no edge is crowded.
+        let mut at = 0;
+        for step in 1..=count {
+            match out[..count].iter().position(|point| *point == into[at]) {
+                Some(next) if (next == 0) == (step == count) => at = next,
+                _ => return false,
+            }
+        }
+        true
     }
 
     /// The neighbours of `p` in the order in which its corners name them, and where each stands in that list.
@@ -237,7 +271,7 @@ impl Topology {
         }
     }
 
-    /// Twins and edge kinds of the half-edges that leave `p`, and the kind and line of `p`.
+    /// Kinds of the half-edges that leave `p`, and the kind and line of `p`.
     fn judge(&self, mesh: &Mesh, whole: &[bool], p: u32, spokes: &[Spoke], spoke_of: &[u32], said: &mut Block) {
         let mut counts = [0u32; 5];
         let mut line = [[NONE; 2]; 5];
@@ -250,8 +284,8 @@ impl Topology {
                 *slot = spoke.point;
             }
             *seen += 1;
-            if spoke.out_count == 1 {
-                said.edges.push((spoke.out_corner, kind, if kind < EdgeKind::Border { spoke.in_corner } else { NONE }));
+            if spoke.out_count == 1 && kind != EdgeKind::Manifold {
+                said.edges.push((spoke.out_corner, kind));
             }
         }
         if counts[EdgeKind::Complex as usize] > 0 {
@@ -261,7 +295,7 @@ impl Topology {
                 let to = self.face_points[corner as usize / 3][next(corner) as usize % 3];
                 let spoke = &spokes[spoke_of[to as usize] as usize];
                 if spoke.out_count > 1 {
-                    said.edges.push((corner, EdgeKind::Complex, NONE));
+                    said.edges.push((corner, EdgeKind::Complex));
                 }
             }
         }
@@ -373,7 +407,7 @@ mod tests {
     fn a_closed_sphere_has_manifold_points_only() {
         let topology = Topology::new(&fixtures::sphere(8, 6));
         assert!(topology.kinds.iter().all(|k| *k == PointKind::Manifold));
-        assert!(topology.twin.iter().flatten().all(|t| *t != NONE));
+        assert!((0..3 * topology.face_points.len() as u32).all(|corner| topology.twin(corner) != NONE));
     }
 
     #[test]
@@ -381,9 +415,9 @@ mod tests {
         let topology = Topology::new(&fixtures::grid(4, 3));
         let point = |c: u32| topology.face_points[c as usize / 3][c as usize % 3];
         for corner in 0..3 * topology.face_points.len() as u32 {
-            let twin = topology.twin[corner as usize / 3][corner as usize % 3];
+            let twin = topology.twin(corner);
             if twin != NONE {
-                assert_eq!(topology.twin[twin as usize / 3][twin as usize % 3], corner);
+                assert_eq!(topology.twin(twin), corner);
                 assert_eq!((point(corner), point(next(corner))), (point(next(twin)), point(twin)));
             }
         }

@@ -1,4 +1,4 @@
-//! The collapse loop: half-edge collapses in order of cost until no legal one is left.
+//! The collapse loop: half-edge collapses of a part in order of cost until no legal one is left.
 //!
 //! **Exact order at a low price.** Each collapse is the cheapest legal one of all, ties by lower ids, and yet few costs are
 //! computed. Where the costs of a metric only rise (forms only grow), a cost computed earlier is a lower bound of today's.
@@ -16,14 +16,13 @@
 //! bound rests on a target that was illegal). A metric whose costs may fall has all neighbours of `to` priced anew.
 
 use glam::DVec3;
-use kiln_asset::Mesh;
 use rayon::prelude::*;
 
-use super::SimplifyOptions;
 use super::heap::{Heap, entry, rank};
+use super::log::Log;
 use super::metric::Metric;
 use super::rules::{Moves, RULE_COUNT, Rule, moves};
-use super::sequence::{Collapse, CollapseSequence, SequenceReport};
+use super::sequence::SequenceReport;
 use super::working::Working;
 use crate::topology::NONE;
 
@@ -45,9 +44,8 @@ pub(super) enum State {
 type Target = (u32, u32);
 
 pub(super) struct Collapser<'a, M> {
-    work: Working<'a>,
-    metric: M,
-    floor: f64,
+    pub(super) work: Working<'a>,
+    pub(super) metric: M,
     heap: Heap,
     /// `[point_count]`: the target that a point's rank came from.
     best: Vec<u32>,
@@ -55,47 +53,51 @@ pub(super) struct Collapser<'a, M> {
     targets: Vec<Target>,
     /// Where the point that stays goes, of the last test.
     place: Option<DVec3>,
-    faces_left: u32,
-    error: f64,
-    out: CollapseSequence,
+    pub(super) faces_left: u32,
+    /// Rank of the dearest collapse so far.
+    pub(super) dearest: u32,
+    pub(super) log: Log,
 }
 
 impl<'a, M: Metric + Sync> Collapser<'a, M> {
-    pub(super) fn new(mesh: &Mesh, work: Working<'a>, metric: M, options: &SimplifyOptions) -> Collapser<'a, M> {
-        Collapser {
+    /// All points of `work` are priced; `faces_left` of that part, or of more.
+    pub(super) fn new(work: Working<'a>, metric: M, faces_left: u32) -> Collapser<'a, M> {
+        let mut collapser = Collapser {
             best: vec![NONE; work.points.len()],
             work,
             metric,
-            floor: options.floor,
             heap: Heap::new(),
             targets: Vec::new(),
             place: None,
-            faces_left: mesh.face_count() as u32,
-            error: 0.0,
-            out: CollapseSequence::new(mesh.face_count() as u32, mesh.vertex_count() as u32),
-        }
+            faces_left,
+            dearest: 0,
+            log: Log::default(),
+        };
+        collapser.log.reserve(collapser.work.points.len(), collapser.work.faces.len());
+        collapser.price_all();
+        collapser
     }
 
-    /// Collapses until nothing legal is left or the floor is reached.
-    pub(super) fn run(mut self) -> CollapseSequence {
-        let floor = (self.floor * f64::from(self.faces_left)) as u32;
-        self.price_all();
-        while self.faces_left > floor
-            && let Some(front) = self.heap.pop()
-        {
+    /// Collapses until at most `floor` faces are left, or nothing legal of at most that rank.
+    pub(super) fn run(&mut self, floor: u32, limit: u32) {
+        while self.faces_left > floor && self.heap.first() <= entry(limit, NONE) {
+            let Some(front) = self.heap.pop() else { break };
             let (rank, from) = ((front >> 32) as u32, front as u32);
             let point = &self.work.points[from as usize];
             if point.rank == rank && matches!(point.state, State::Queued | State::Raised) {
                 self.advance(from, rank);
             }
         }
-        self.out.report = SequenceReport {
-            collapses: self.out.collapses.len() as u32,
+    }
+
+    /// What ended it.
+    pub(super) fn report(&mut self, collapses: usize, floor: u32) -> SequenceReport {
+        SequenceReport {
+            collapses: collapses as u32,
             faces_left: self.faces_left,
             at_floor: self.faces_left <= floor,
             blocked: self.tally(),
-        };
-        self.out
+        }
     }
 
     /// The order of [`Collapser::run`] the plain way: at every step all legal collapses are priced anew.
@@ -105,6 +107,7 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
             let mut best: Option<(u64, u32)> = None;
             for from in 0..self.work.points.len() as u32 {
                 self.price(from);
+                find_targets(&self.work, &self.metric, from, &mut self.targets);
                 for (rank, to) in self.targets.clone() {
                     let offered = (entry(rank, from), to);
                     if best.is_none_or(|b| offered < b) && self.test(from, to).is_none() {
@@ -114,18 +117,20 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
             }
             let Some((front, to)) = best else { break };
             self.test(front as u32, to);
-            self.collapse(front as u32, to);
+            self.collapse(front as u32, to, (front >> 32) as u32);
         }
-        self.out.collapses.iter().map(|c| [c.from, c.to]).collect()
+        self.order()
+    }
+
+    /// Points that went and where to, by the ids of the part.
+    #[cfg(test)]
+    pub(super) fn order(&self) -> Vec<[u32; 2]> {
+        self.log.collapses.iter().map(|c| [c.from, c.to]).collect()
     }
 
     fn price_all(&mut self) {
-        let cheapest = |targets: &mut Vec<Target>, p: u32| {
-            find_targets(&self.work, &self.metric, p, targets);
-            targets.iter().min().copied()
-        };
-        let points = (0..self.work.points.len() as u32).into_par_iter();
-        let found: Vec<Option<Target>> = points.map_init(Vec::new, cheapest).collect();
+        let points = (0..self.work.points.len() as u32).into_par_iter().with_min_len(1024);
+        let found: Vec<Option<Target>> = points.map(|p| cheapest(&self.work, &self.metric, p)).collect();
         let mut entries = Vec::with_capacity(found.len());
         for (p, target) in found.into_iter().enumerate() {
             if let Some((rank, to)) = target {
@@ -148,7 +153,7 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
                 && self.rank_of(from, to) == rank
                 && self.test(from, to).is_none()
             {
-                self.collapse(from, to);
+                self.collapse(from, to, rank);
                 return;
             }
         }
@@ -161,7 +166,7 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
                 return;
             }
             if self.test(from, to).is_none() {
-                self.collapse(from, to);
+                self.collapse(from, to, cost);
                 return;
             }
         }
@@ -193,9 +198,8 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
         if M::FALLS {
             self.metric.star_changed(&self.work, p);
         }
-        find_targets(&self.work, &self.metric, p, &mut self.targets);
-        match self.targets.iter().min() {
-            Some((rank, to)) => self.enqueue(p, *rank, *to, State::Queued),
+        match cheapest(&self.work, &self.metric, p) {
+            Some((rank, to)) => self.enqueue(p, rank, to, State::Queued),
             None => {
                 // It may get a target yet, unless it never moves or is gone.
                 let point = &mut self.work.points[p as usize];
@@ -205,30 +209,37 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
         }
     }
 
-    /// Takes `from` to `to`, which were tested last.
-    fn collapse(&mut self, from: u32, to: u32) {
-        self.error = self.error.max(self.metric.merge(&mut self.work, from, to));
-        let (first_face, first_pair) = (self.out.faces.len() as u32, self.out.pairs.len() as u32);
-        self.out.pairs.extend_from_slice(&self.work.map);
+    /// Takes `from` to `to`, which were tested last, at a cost of that rank.
+    fn collapse(&mut self, from: u32, to: u32, rank: u32) {
+        let error = self.metric.merge(&mut self.work, from, to, self.place) as f32;
+        let [goes, stays] = [from, to].map(|p| &self.work.points[p as usize]);
+        let since = rank.max(goes.since).max(stays.since);
+        self.dearest = self.dearest.max(rank);
+        self.log.begin(from, to, error, since);
+        self.log.pairs.extend_from_slice(&self.work.map);
         self.work.collapse(from, to);
         if M::PLACES {
             let position = &mut self.work.points[to as usize].position;
             *position = self.place.map_or(*position, |place| place.as_vec3());
-            self.out.places.push(position.to_array());
+            self.log.places.push(position.to_array());
             self.metric.star_changed(&self.work, to);
             for i in 0..self.work.corners(to).len() {
                 let [a, b] = self.work.others(self.work.corners(to)[i]);
                 // In a closed fan every neighbour comes first once; in an open one the last comes second only.
-                self.metric.star_changed(&self.work, a);
+                self.change(a, since);
                 if self.work.points[b as usize].line != [NONE; 2] {
-                    self.metric.star_changed(&self.work, b);
+                    self.change(b, since);
                 }
             }
         }
-        self.out.faces.extend_from_slice(&self.work.vanished);
+        self.log.faces.extend_from_slice(&self.work.vanished);
         self.faces_left -= self.work.vanished.len() as u32;
-        self.out.collapses.push(Collapse { from, to, first_face, first_pair, error: self.error as f32 });
         self.work.points[from as usize].state = State::Out;
+        self.work.points[to as usize].since = since;
+        for i in 0..self.work.ring.len() {
+            let point = &mut self.work.points[self.work.ring[i] as usize];
+            point.since = point.since.max(since);
+        }
 
         self.price(to);
         if M::FALLS {
@@ -238,6 +249,12 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
                 self.offer(self.work.ring[i], to);
             }
         }
+    }
+
+    fn change(&mut self, p: u32, since: u32) {
+        self.metric.star_changed(&self.work, p);
+        let point = &mut self.work.points[p as usize];
+        point.since = point.since.max(since);
     }
 
     /// Prices all neighbours of `to` anew.
@@ -283,13 +300,9 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
             if self.work.points[p as usize].count == 0 {
                 continue;
             }
-            find_targets(&self.work, &self.metric, p, &mut self.targets);
-            let rule = match self.targets.iter().min() {
+            let rule = match cheapest(&self.work, &self.metric, p) {
                 None => Some(Rule::Kind),
-                Some((_, to)) => {
-                    let to = *to;
-                    self.test(p, to)
-                }
+                Some((_, to)) => self.test(p, to),
             };
             if let Some(rule) = rule {
                 blocked[rule as usize] += 1;
@@ -302,6 +315,18 @@ impl<'a, M: Metric + Sync> Collapser<'a, M> {
 /// The targets that the table of kinds allows `p`, in no order.
 fn find_targets<M: Metric>(work: &Working<'_>, metric: &M, p: u32, targets: &mut Vec<Target>) {
     targets.clear();
+    each_target(work, metric, p, |target| targets.push(target));
+}
+
+/// The cheapest of them, legal or not.
+fn cheapest<M: Metric>(work: &Working<'_>, metric: &M, p: u32) -> Option<Target> {
+    let mut least = (u32::MAX, NONE);
+    each_target(work, metric, p, |target| least = least.min(target));
+    (least.1 != NONE).then_some(least)
+}
+
+#[inline]
+fn each_target<M: Metric>(work: &Working<'_>, metric: &M, p: u32, mut out: impl FnMut(Target)) {
     let point = &work.points[p as usize];
     if point.count == 0 {
         return;
@@ -310,14 +335,18 @@ fn find_targets<M: Metric>(work: &Working<'_>, metric: &M, p: u32, targets: &mut
         Moves::Never => {}
         Moves::AlongLine => {
             for to in point.line {
-                if to != NONE {
-                    targets.push((work.ranked(p, metric.cost(work, p, to, NONE)), to));
+                if to != NONE && !work.points[to as usize].held {
+                    out((work.ranked(p, metric.cost(work, p, to, NONE)), to));
                 }
             }
         }
         Moves::Anywhere => {
             // In a closed fan every neighbour follows `p` in exactly one face.
-            metric.costs(work, p, |cost, to| targets.push((rank(cost), to)));
+            metric.costs(work, p, |cost, to| {
+                if !work.points[to as usize].held {
+                    out((rank(work.weighed(p, cost)), to));
+                }
+            });
         }
     }
 }

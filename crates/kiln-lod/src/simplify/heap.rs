@@ -58,20 +58,21 @@ impl Heap {
         let items = &mut self.0[..];
         loop {
             let start = 4 * at + 1;
-            if start >= items.len() {
-                break;
-            }
-            let end = (start + 4).min(items.len());
-            let mut child = start;
-            for i in start + 1..end {
-                if items[i] < items[child] {
-                    child = i;
+            let (child, least) = if let Some(&[a, b, c, d]) = items.get(start..start + 4) {
+                let low = if b < a { (start + 1, b) } else { (start, a) };
+                let high = if d < c { (start + 3, d) } else { (start + 2, c) };
+                if high.1 < low.1 { high } else { low }
+            } else {
+                let last = (start..).zip(items.get(start..).unwrap_or_default());
+                match last.min_by_key(|(_, entry)| **entry) {
+                    Some((child, least)) => (child, *least),
+                    None => break,
                 }
-            }
-            if items[child] >= entry {
+            };
+            if least >= entry {
                 break;
             }
-            items[at] = items[child];
+            items[at] = least;
             at = child;
         }
         items[at] = entry;

@@ -13,6 +13,7 @@
 //!     forbidden: the point's next dearer target; else
 //!     collapse: faces at both ends vanish, wedges go to their partners, the metric merges both points; log it
 //!     price `to` and its neighbours again
+//! large meshes: regions of them, at once, then what is left; one log of all  (regions, rest, log)
 //! level     <- the shortest prefix of the log that meets the budget, replayed; free placement moves its points to where their
 //!              level lies nearest to its source (fit); then its distance to the source is measured
 //! by parts  <- instead of a prefix the closed set of collapses that gives each submesh what its rule grants (parts, cut,
@@ -42,8 +43,11 @@ pub mod error;
 mod fit;
 mod heap;
 mod levels;
+mod log;
 mod metric;
 pub mod parts;
+mod regions;
+mod rest;
 pub mod rules;
 pub mod sequence;
 pub mod texture_border;
@@ -53,12 +57,10 @@ mod working;
 use kiln_asset::{Mesh, QuadricCoefficients, UvLayout};
 
 use crate::topology::Topology;
-use collapse::Collapser;
-use metric::Metric;
 use metric::bordered::Bordered;
-use metric::memoryless::Memoryless;
-use metric::quadric::{Forms, QuadricMetric};
-use working::Working;
+use metric::memoryless::MemorylessRest;
+use metric::quadric::{Forms, QuadricRest};
+use rest::{MetricRest, Rest};
 
 pub use dependencies::Dependencies;
 pub use error::surface_error;
@@ -165,21 +167,6 @@ pub fn collapse_under(
     collapse_prepared(mesh, &topology, &forms, layout, options, &locked, conditions.borders)
 }
 
-/// The mesh to work on and its metric. `locked`: empty, or `[point_count]`.
-fn prepared<'a>(
-    mesh: &'a Mesh,
-    topology: &Topology,
-    forms: &Forms,
-    layout: Option<&UvLayout>,
-    options: &'a SimplifyOptions,
-    locked: &[bool],
-) -> (Working<'a>, QuadricMetric) {
-    let mut work = Working::new(mesh, topology, forms.positions(), layout, options);
-    work.lock(locked);
-    let metric = QuadricMetric::new(mesh, forms.initial().to_vec(), &mut work, options);
-    (work, metric)
-}
-
 fn collapse_prepared(
     mesh: &Mesh,
     topology: &Topology,
@@ -189,32 +176,34 @@ fn collapse_prepared(
     locked: &[bool],
     borders: Option<&TextureBorders>,
 ) -> CollapseSequence {
+    let mut rest = Rest::new(mesh, topology, forms.positions(), options);
+    rest.lock(locked);
     match options.metric {
         MetricKind::Quadric => {
-            let (work, metric) = prepared(mesh, topology, forms, layout, options, locked);
-            ordered(mesh, work, metric, options, borders)
+            let metric = QuadricRest::new(forms.initial(), &mut rest);
+            ordered(rest, metric, layout, borders)
         }
-        MetricKind::Memoryless => {
-            let mut work = Working::new(mesh, topology, forms.positions(), layout, options);
-            work.lock(locked);
-            let metric = Memoryless::new(mesh, &work);
-            ordered(mesh, work, metric, options, borders)
-        }
+        MetricKind::Memoryless => ordered(rest, MemorylessRest::new(mesh), layout, borders),
     }
 }
 
-fn ordered<M: Metric + Sync>(
-    mesh: &Mesh,
-    work: Working<'_>,
+fn ordered<M: MetricRest>(
+    rest: Rest<'_>,
     metric: M,
-    options: &SimplifyOptions,
+    layout: Option<&UvLayout>,
     borders: Option<&TextureBorders>,
 ) -> CollapseSequence {
+    let (mesh, floor) = (rest.mesh, rest.options.floor);
+    if layout.is_none() && borders.is_none() {
+        return regions::collapse(rest, metric, floor, regions::GRAIN);
+    }
+    let work = regions::whole(&rest, layout);
+    let metric = metric.part(&work);
     match borders {
-        None => Collapser::new(mesh, work, metric, options).run(),
+        None => regions::collapse_whole(mesh, work, metric, floor),
         Some(borders) => {
             let metric = Bordered::new(metric, mesh, borders, &work);
-            Collapser::new(mesh, work, metric, options).run()
+            regions::collapse_whole(mesh, work, metric, floor)
         }
     }
 }
@@ -234,5 +223,7 @@ fn points_of(mesh: &Mesh, chosen: &[bool]) -> Vec<bool> {
 
 #[cfg(test)]
 mod parts_tests;
+#[cfg(test)]
+mod regions_tests;
 #[cfg(test)]
 mod tests;

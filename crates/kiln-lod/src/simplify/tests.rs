@@ -50,9 +50,26 @@ fn free_placement_brings_a_sphere_s_levels_nearer_to_it() {
     let sequence = collapse(&mesh, &[], None, &SimplifyOptions::default());
     for faces in [3000, 600, 120] {
         let [half, free] = [Placement::HalfEdge, Placement::Free].map(|p| super::cut(&mesh, &[], &sequence, faces, p));
-        assert_eq!(half.triangles, free.triangles, "the log decides the triangles");
+        assert_eq!((&half.points, half.face_count()), (&free.points, free.face_count()), "the log decides the points");
         let (half, free) = (mean_off_sphere(&half), mean_off_sphere(&free));
         assert!(free < 0.75 * half, "{faces} faces: {free:e} for {half:e}");
+    }
+}
+
+#[test]
+fn an_important_half_keeps_more_of_its_points() {
+    let wavy = |x: f32, y: f32| (x * 0.7).sin() * 0.3 + (y * 0.9).cos() * 0.2;
+    let plain = fixtures::field(40, 40, wavy);
+    let mut raw = plain.clone().into_raw();
+    raw.importance = Some(raw.positions.iter().map(|p| if p.x < 20.0 { 30.0 } else { 1.0 }).collect());
+    let important = Mesh::new(raw).unwrap();
+    for options in [SimplifyOptions::default(), memoryless()] {
+        let left = |mesh: &Mesh| {
+            let level = simplify(mesh, 400, Placement::Free, &options);
+            level.positions.iter().filter(|p| p.x < 20.0).count() as f64 / level.vertex_count() as f64
+        };
+        let (before, after) = (left(&plain), left(&important));
+        assert!((0.4..0.6).contains(&before) && after > 0.62, "{before} became {after}");
     }
 }
 

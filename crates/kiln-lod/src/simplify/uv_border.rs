@@ -4,19 +4,21 @@ use glam::Vec2;
 use kiln_asset::{Mesh, UvLayout};
 
 /// How far each wedge's chart border has already left the finest level's, a bound that accumulates, texels.
-pub(super) struct UvBorder<'a> {
-    uv: &'a [Vec2],
+pub(super) struct UvBorder {
+    /// By wedge.
+    uv: Vec<Vec2>,
     size: f32,
     limit: f32,
     deviation: Vec<f32>,
 }
 
-impl<'a> UvBorder<'a> {
-    /// For the atlas of `mesh`, or its first UV set where the atlas has become that.
-    pub(super) fn new(mesh: &'a Mesh, layout: &UvLayout) -> UvBorder<'a> {
-        let uv = mesh.atlas_uv.as_deref().or(mesh.uv0.as_deref()).unwrap_or_default();
+impl UvBorder {
+    /// For the atlas of `mesh`, or its first UV set where the atlas has become that; `wedges`: the mesh's vertices that are asked for.
+    pub(super) fn new(mesh: &Mesh, layout: &UvLayout, wedges: &[u32]) -> UvBorder {
+        let uv = mesh.atlas_uv.as_deref().or(mesh.uv0.as_deref());
+        let uv: Vec<Vec2> = uv.map_or(Vec::new(), |uv| wedges.iter().map(|w| uv[*w as usize]).collect());
         let (size, limit) = (layout.size as f32, layout.padding as f32 / 2.0);
-        UvBorder { uv, size, limit, deviation: vec![0.0; uv.len()] }
+        UvBorder { deviation: vec![0.0; uv.len()], uv, size, limit }
     }
 
     fn moved(&self, from: u32, to: u32, other: u32) -> f32 {

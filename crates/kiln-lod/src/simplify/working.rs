@@ -1,6 +1,8 @@
-//! The mesh while it is collapsed: points, faces and the corners at a point, what forbids a collapse, and doing one.
+//! A mesh, or a part of one, while it is collapsed: points, faces and the corners at a point, what forbids a collapse, and doing one.
 //!
-//! **Layout.** A point is one cache line ([`Point`]); a face is 24 bytes; the corners at a point lie together in one pool, moved
+//! Ids are its own ([`Names`] has the mesh's), in the order of [`super::rest`].
+//!
+//! **Layout.** A point is one cache line ([`Point`]); a face half of one; the corners at a point lie together in one pool, moved
 //! to its end with room to grow when they outgrow their place.
 
 use glam::{DVec3, Vec2, Vec3};
@@ -12,12 +14,7 @@ use super::rules::Rule;
 use super::texture_border::StarFace;
 use super::uv_border::UvBorder;
 use super::{Boundary, SimplifyOptions};
-use crate::topology::{NONE, PointKind, Topology, is_degenerate, same_chart};
-
-/// Cosine between the normals of two wedges; 1 where the mesh has none.
-fn normal_likeness(mesh: &Mesh, a: u32, b: u32) -> f32 {
-    mesh.normals.as_ref().map_or(1.0, |normals| normals[a as usize].dot(normals[b as usize]))
-}
+use crate::topology::{NONE, PointKind, same_chart};
 
 /// All that the neighbours of a point ask of it.
 #[derive(Clone, Copy)]
@@ -29,39 +26,76 @@ pub(super) struct Point {
     /// Its corners: where they start in the pool, how many there are, how many fit.
     pub(super) first: u32,
     pub(super) count: u32,
-    room: u32,
+    pub(super) room: u32,
     /// Rank of its entry in the queue.
     pub(super) rank: u32,
     /// Its two neighbours along its line, or [`NONE`].
     pub(super) line: [u32; 2],
-    mark: u32,
+    /// Greatest place in the log of a collapse that changed its star.
+    pub(super) since: u32,
+    pub(super) mark: u32,
     pub(super) kind: PointKind,
     pub(super) state: State,
     /// Whether it has several wedges.
-    parted: bool,
+    pub(super) parted: bool,
+    /// Whether some of its faces lie in another part: then it neither goes nor takes others in.
+    pub(super) held: bool,
 }
 
 /// Faces at a point above which its attributes are priced by one side of an edge.
 const HUB: u32 = 64;
 
-/// A face; `points[0]` is [`NONE`] once it has vanished.
+/// Corners of a face are `CORNER * face + k`, so that both are told by shifts.
+pub(super) const CORNER: u32 = 4;
+
+/// A face and which of its corners.
+#[inline]
+fn split(corner: u32) -> (usize, usize) {
+    ((corner / CORNER) as usize, (corner % CORNER) as usize)
+}
+
+/// The corner after `k`, and the one before it: two bits each.
+#[inline]
+fn after(k: usize) -> usize {
+    0b00_10_01 >> (2 * k) & 3
+}
+
+#[inline]
+fn before(k: usize) -> usize {
+    0b01_00_10 >> (2 * k) & 3
+}
+
+/// A face; `points[0]` is [`NONE`] once it has vanished. The fourth of each is padding: two bits are an index without a test, and no
+/// face lies in two cache lines.
 #[derive(Clone, Copy)]
+#[repr(C, align(32))]
 pub(super) struct Face {
-    pub(super) points: [u32; 3],
-    pub(super) wedges: [u32; 3],
+    pub(super) points: [u32; 4],
+    pub(super) wedges: [u32; 4],
+}
+
+/// The mesh's ids of a part's points, faces and wedges.
+pub(super) struct Names {
+    pub(super) points: Vec<u32>,
+    pub(super) faces: Vec<u32>,
+    pub(super) wedges: Vec<u32>,
 }
 
 pub(super) struct Working<'a> {
     mesh: &'a Mesh,
     options: &'a SimplifyOptions,
-    /// `[vertex_count]`.
+    pub(super) names: Names,
+    /// By wedge.
     submesh: Vec<u32>,
     pub(super) points: Vec<Point>,
     pub(super) faces: Vec<Face>,
     /// Corners by point.
     pub(super) pool: Vec<u32>,
-    uv: Option<&'a [Vec2]>,
-    uv_border: Option<UvBorder<'a>>,
+    /// By wedge.
+    uv: Option<Vec<Vec2>>,
+    /// By point: by how much dearer than others it is to go; empty where none is.
+    importance: Vec<f32>,
+    uv_border: Option<UvBorder>,
     stamp: u32,
     /// (wedge that goes, wedge that stays) of the collapse at hand.
     pub(super) map: Vec<[u32; 2]>,
@@ -72,60 +106,41 @@ pub(super) struct Working<'a> {
 }
 
 impl<'a> Working<'a> {
-    /// `positions`: `[point_count]`.
+    /// A part: `names` of its points, faces and wedges, and these; `submesh` by wedge, `pool` the corners by point.
     pub(super) fn new(
         mesh: &'a Mesh,
-        topology: &Topology,
-        positions: &[DVec3],
-        layout: Option<&UvLayout>,
         options: &'a SimplifyOptions,
+        names: Names,
+        submesh: Vec<u32>,
+        points: Vec<Point>,
+        faces: Vec<Face>,
+        pool: Vec<u32>,
     ) -> Working<'a> {
-        let mut points: Vec<Point> = (0..positions.len())
-            .map(|p| {
-                let (first, count) = (topology.first[p], topology.first[p + 1] - topology.first[p]);
-                Point {
-                    position: positions[p].as_vec3(),
-                    own: 0.0,
-                    first,
-                    count,
-                    room: count,
-                    rank: 0,
-                    line: topology.lines[p],
-                    mark: 0,
-                    kind: match topology.kinds[p] {
-                        PointKind::Boundary if options.boundary == Boundary::Lock => PointKind::Locked,
-                        kind => kind,
-                    },
-                    state: State::Out,
-                    parted: false,
+        let uv = mesh.atlas_uv.as_deref().or(mesh.uv0.as_deref());
+        let uv = uv.map(|uv| names.wedges.iter().map(|w| uv[*w as usize]).collect());
+        let importance = mesh.importance.as_ref().map_or_else(Vec::new, |importance| {
+            // The greatest of its wedges.
+            let mut of_point = vec![0.0_f32; points.len()];
+            for face in &faces {
+                for k in 0..3 {
+                    let of_wedge = importance[names.wedges[face.wedges[k] as usize] as usize];
+                    let of_point = &mut of_point[face.points[k] as usize];
+                    *of_point = of_point.max(of_wedge);
                 }
-            })
-            .collect();
-        let mut seen = vec![false; points.len()];
-        for p in &mesh.points {
-            let seen = &mut seen[p.index()];
-            points[p.index()].parted |= *seen;
-            *seen = true;
-        }
-        let sound = |(points, wedges): (&[u32; 3], &[u32; 3])| Face {
-            points: if is_degenerate(points) { [NONE; 3] } else { *points },
-            wedges: *wedges,
-        };
-        let mut submesh = vec![NONE; mesh.vertex_count()];
-        for (triangle, s) in mesh.triangles.iter().zip(&mesh.face_submesh) {
-            for v in triangle {
-                submesh[*v as usize] = s.0;
             }
-        }
+            of_point
+        });
         Working {
             mesh,
             options,
+            names,
             submesh,
             points,
-            faces: topology.face_points.iter().zip(&mesh.triangles).map(sound).collect(),
-            pool: topology.corners.clone(),
-            uv: mesh.atlas_uv.as_deref().or(mesh.uv0.as_deref()),
-            uv_border: layout.map(|layout| UvBorder::new(mesh, layout)),
+            faces,
+            pool,
+            uv,
+            importance,
+            uv_border: None,
             stamp: 0,
             map: Vec::new(),
             ring: Vec::new(),
@@ -133,13 +148,20 @@ impl<'a> Working<'a> {
         }
     }
 
-    /// Keeps the points `locked` (empty, or `[point_count]`) where they are; others may come to them.
-    pub(super) fn lock(&mut self, locked: &[bool]) {
-        for (point, locked) in self.points.iter_mut().zip(locked) {
-            if *locked {
-                point.kind = PointKind::Locked;
-            }
-        }
+    /// Holds chart borders in the place that they have in `layout`.
+    pub(super) fn hold_borders(&mut self, layout: &UvLayout) {
+        self.uv_border = Some(UvBorder::new(self.mesh, layout, &self.names.wedges));
+    }
+
+    /// Cosine between the normals of two wedges; 1 where the mesh has none.
+    fn normal_likeness(&self, a: u32, b: u32) -> f32 {
+        let normal = |normals: &Vec<Vec3>, w: u32| normals[self.names.wedges[w as usize] as usize];
+        self.mesh.normals.as_ref().map_or(1.0, |normals| normal(normals, a).dot(normal(normals, b)))
+    }
+
+    /// Whether two wedges of one point differ in normal and tangent at most.
+    fn same_chart(&self, a: u32, b: u32) -> bool {
+        a == b || same_chart(self.mesh, self.names.wedges[a as usize], self.names.wedges[b as usize])
     }
 
     /// The corners at `p`.
@@ -152,9 +174,9 @@ impl<'a> Working<'a> {
     /// The other two points of a corner's face, in winding order.
     #[inline]
     pub(super) fn others(&self, corner: u32) -> [u32; 2] {
-        let (f, k) = (corner as usize / 3, corner as usize % 3);
+        let (f, k) = split(corner);
         let face = &self.faces[f].points;
-        [face[(k + 1) % 3], face[(k + 2) % 3]]
+        [face[after(k)], face[before(k)]]
     }
 
     /// A corner at `from` whose face holds `to`.
@@ -165,10 +187,9 @@ impl<'a> Working<'a> {
     /// The wedge at a corner of `from`, and the wedge that the same face has at `to`.
     #[inline]
     fn pair(&self, corner: u32, to: u32) -> [u32; 2] {
-        let (f, k) = (corner as usize / 3, corner as usize % 3);
+        let (f, k) = split(corner);
         let face = &self.faces[f];
-        let next = (k + 1) % 3;
-        [face.wedges[k], face.wedges[if face.points[next] == to { next } else { (k + 2) % 3 }]]
+        [face.wedges[k], face.wedges[if face.points[after(k)] == to { after(k) } else { before(k) }]]
     }
 
     /// The pairs of wedges on both sides of the edge; one where they are the same or there is one side. `corner` as for a cost.
@@ -186,23 +207,29 @@ impl<'a> Working<'a> {
         [Some(pair), other]
     }
 
+    /// The cost of `from` by its importance.
+    #[inline]
+    pub(super) fn weighed(&self, from: u32, cost: f32) -> f32 {
+        self.importance.get(from as usize).map_or(cost, |importance| importance * cost)
+    }
+
     /// Rank of a cost of `from`.
     #[inline]
     pub(super) fn ranked(&self, from: u32, cost: f32) -> u32 {
         // The sign bit of a cost is free: with it set, a rank lies behind all others.
         let last = self.options.boundary == Boundary::Last && self.points[from as usize].kind == PointKind::Boundary;
-        rank(cost) | u32::from(last) << 31
+        rank(self.weighed(from, cost)) | u32::from(last) << 31
     }
 
     /// The faces at `from`, as the texture-border extension reads them.
     pub(super) fn star(&self, from: u32, to: u32) -> impl Iterator<Item = StarFace> + Clone + '_ {
         self.corners(from).iter().map(move |corner| {
-            let (face, k) = (&self.faces[*corner as usize / 3], *corner as usize % 3);
-            let around = [k, (k + 1) % 3, (k + 2) % 3];
+            let (f, k) = split(*corner);
+            let (face, around) = (&self.faces[f], [k, after(k), before(k)]);
             let wedges = around.map(|i| face.wedges[i]);
             StarFace {
                 submesh: SubmeshId(self.submesh[wedges[0] as usize]),
-                wedges,
+                wedges: wedges.map(|w| self.names.wedges[w as usize]),
                 places: around.map(|i| self.points[face.points[i] as usize].position.as_dvec3()),
                 to: (1..3).find(|i| face.points[around[*i]] == to),
             }
@@ -228,12 +255,14 @@ impl<'a> Working<'a> {
         self.stamp += 2;
         self.map.clear();
         let (start, count) = (self.points[from as usize].first as usize, self.points[from as usize].count as usize);
+        let closed_fan = self.points[from as usize].kind == PointKind::Manifold;
         let mut dying = 0;
         for i in start..start + count {
             let corner = self.pool[i];
             let [a, b] = self.others(corner);
             if a != to && b != to {
-                for p in [a, b] {
+                // In a closed fan every neighbour comes first once.
+                for p in [a, b].into_iter().take(if closed_fan { 1 } else { 2 }) {
                     let mark = &mut self.points[p as usize].mark;
                     *mark = (*mark).max(beside);
                 }
@@ -245,16 +274,16 @@ impl<'a> Working<'a> {
                 return Some(Rule::Link);
             }
             *third = apex;
-            let (f, k) = (corner as usize / 3, corner as usize % 3);
+            let (f, k) = split(corner);
             let wedges = &self.faces[f].wedges;
-            let (wedge, partner) = (wedges[k], wedges[if a == to { (k + 1) % 3 } else { (k + 2) % 3 }]);
-            match self.map.iter_mut().find(|m| m[0] == wedge) {
-                Some(m) if m[1] == partner => {}
+            let (wedge, partner) = (wedges[k], wedges[if a == to { after(k) } else { before(k) }]);
+            match self.map.iter().position(|m| m[0] == wedge) {
+                Some(at) if self.map[at][1] == partner => {}
                 // A crease runs through `to`: the side whose normal is nearer takes the wedge.
-                Some(m) if same_chart(self.mesh, m[1], partner) => {
-                    let likeness = |p: u32| normal_likeness(self.mesh, wedge, p);
-                    if likeness(partner).total_cmp(&likeness(m[1])).then(m[1].cmp(&partner)).is_gt() {
-                        m[1] = partner;
+                Some(at) if self.same_chart(self.map[at][1], partner) => {
+                    let (likeness, old) = (|p: u32| self.normal_likeness(wedge, p), self.map[at][1]);
+                    if likeness(partner).total_cmp(&likeness(old)).then(old.cmp(&partner)).is_gt() {
+                        self.map[at][1] = partner;
                     }
                 }
                 Some(_) => return Some(Rule::Partner),
@@ -289,7 +318,8 @@ impl<'a> Working<'a> {
 
     /// Whether every wedge has its partner and every face keeps its shape. Completes `map`.
     fn test_shape(&mut self, from: u32, to: u32, place: Option<DVec3>) -> Option<Rule> {
-        let target = place.unwrap_or_else(|| self.points[to as usize].position.as_dvec3());
+        let [source, stays] = [from, to].map(|p| self.points[p as usize].position.as_dvec3());
+        let target = place.unwrap_or(stays);
         let (start, count) = (self.points[from as usize].first as usize, self.points[from as usize].count as usize);
         for i in start..start + count {
             let corner = self.pool[i];
@@ -297,7 +327,7 @@ impl<'a> Working<'a> {
             if a == to || b == to {
                 continue;
             }
-            let (f, k) = (corner as usize / 3, corner as usize % 3);
+            let (f, k) = split(corner);
             let wedge = self.faces[f].wedges[k];
             let partner = match self.map.iter().find(|m| m[0] == wedge) {
                 Some(m) => m[1],
@@ -309,7 +339,7 @@ impl<'a> Working<'a> {
                     None => return Some(Rule::Partner),
                 },
             };
-            if let Some(rule) = self.reshape([from, a, b], target).or_else(|| self.reshape_uv(f, k, partner)) {
+            if let Some(rule) = self.reshape([a, b], source, target).or_else(|| self.reshape_uv(f, k, partner)) {
                 return Some(rule);
             }
         }
@@ -318,7 +348,7 @@ impl<'a> Working<'a> {
                 let [a, b] = self.others(*corner);
                 if a != from
                     && b != from
-                    && let Some(rule) = self.reshape([to, a, b], target)
+                    && let Some(rule) = self.reshape([a, b], stays, target)
                 {
                     return Some(rule);
                 }
@@ -335,13 +365,14 @@ impl<'a> Working<'a> {
     fn partner_across_crease(&self, wedge: u32, to: u32) -> Option<u32> {
         let submesh = self.submesh[wedge as usize];
         let anchor =
-            self.map.iter().find(|m| self.submesh[m[0] as usize] == submesh && same_chart(self.mesh, m[0], wedge))?[1];
+            self.map.iter().find(|m| self.submesh[m[0] as usize] == submesh && self.same_chart(m[0], wedge))?[1];
         let mut best: Option<(f32, u32)> = None;
         for corner in self.corners(to) {
-            let candidate = self.faces[*corner as usize / 3].wedges[*corner as usize % 3];
+            let (f, k) = split(*corner);
+            let candidate = self.faces[f].wedges[k];
             // Wedges of another submesh may have equal attributes; a vertex belongs to one submesh.
-            let fits = self.submesh[candidate as usize] == submesh && same_chart(self.mesh, candidate, anchor);
-            let offered = (normal_likeness(self.mesh, wedge, candidate), candidate);
+            let fits = self.submesh[candidate as usize] == submesh && self.same_chart(candidate, anchor);
+            let offered = (self.normal_likeness(wedge, candidate), candidate);
             if fits && best.is_none_or(|b| offered.0.total_cmp(&b.0).then(b.1.cmp(&offered.1)).is_gt()) {
                 best = Some(offered);
             }
@@ -349,34 +380,36 @@ impl<'a> Working<'a> {
         best.map(|b| b.1)
     }
 
-    /// What forbids the corner `p` of the face (p, a, b) to go to `q`.
-    #[inline]
-    fn reshape(&self, [p, a, b]: [u32; 3], q: DVec3) -> Option<Rule> {
-        let [p, a, b] = [p, a, b].map(|i| self.points[i as usize].position.as_dvec3());
-        let side = b - a;
-        let (old, new) = (side.cross(p - a), side.cross(q - a));
-        let (old_square, new_square) = (old.length_squared(), new.length_squared());
-        if old.dot(new) < self.options.turn_cosine * (old_square * new_square).sqrt()
+    /// What forbids the corner at `p` of the face (p, a, b) to go to `q`.
+    #[inline(always)]
+    fn reshape(&self, [a, b]: [u32; 2], p: DVec3, q: DVec3) -> Option<Rule> {
+        let [a, b] = [a, b].map(|i| self.points[i as usize].position.as_dvec3());
+        let (side, old, new) = (b - a, p - a, q - a);
+        let (old_normal, new_normal) = (side.cross(old), side.cross(new));
+        let (old_square, new_square) = (old_normal.length_squared(), new_normal.length_squared());
+        if old_normal.dot(new_normal) < self.options.turn_cosine * (old_square * new_square).sqrt()
             || (old_square > 0.0 && new_square <= 0.0)
         {
             return Some(Rule::Turn);
         }
         // Shape: twice the area over the square of the longest edge; a face may not become both thin and much thinner than it
         // was. Compared as squares.
-        let longest = |c: DVec3| (c - a).length_squared().max((c - b).length_squared()).max(side.length_squared());
-        let (old_longest, new_longest) = (longest(p), longest(q));
-        let thin = new_square < (self.options.sliver * new_longest).powi(2);
-        (thin && new_square * old_longest * old_longest < 0.25 * old_square * new_longest * new_longest)
-            .then_some(Rule::Sliver)
+        let side_square = side.length_squared();
+        let longest = |c: DVec3, to_a: DVec3| to_a.length_squared().max((c - b).length_squared()).max(side_square);
+        let new_longest = longest(q, new);
+        if new_square >= (self.options.sliver * new_longest).powi(2) {
+            return None;
+        }
+        let old_longest = longest(p, old);
+        (new_square * old_longest * old_longest < 0.25 * old_square * new_longest * new_longest).then_some(Rule::Sliver)
     }
 
     /// What forbids face `f`'s corner `k` to take the UVs of the wedge `partner`.
     #[inline]
     fn reshape_uv(&self, f: usize, k: usize, partner: u32) -> Option<Rule> {
-        let uv = self.uv?;
+        let uv = self.uv.as_ref()?;
         let wedges = self.faces[f].wedges;
-        let [p, c, d, q] =
-            [wedges[k], wedges[(k + 1) % 3], wedges[(k + 2) % 3], partner].map(|w| uv[w as usize].as_dvec2());
+        let [p, c, d, q] = [wedges[k], wedges[after(k)], wedges[before(k)], partner].map(|w| uv[w as usize].as_dvec2());
         let (old, new) = ((d - c).perp_dot(p - c), (d - c).perp_dot(q - c));
         (old * new < 0.0 || (old != 0.0 && new == 0.0)).then_some(Rule::UvTurn)
     }
@@ -385,11 +418,12 @@ impl<'a> Working<'a> {
     fn line_other(&self, from: u32, to: u32, end: u32) -> Option<u32> {
         let other = self.line_end(from, to);
         self.corners(from).iter().find_map(|corner| {
-            let (face, k) = (&self.faces[*corner as usize / 3], *corner as usize % 3);
+            let (f, k) = split(*corner);
+            let face = &self.faces[f];
             if face.wedges[k] != end {
                 return None;
             }
-            (1..3).map(|i| (k + i) % 3).find(|k| face.points[*k] == other).map(|k| face.wedges[k])
+            [after(k), before(k)].into_iter().find(|k| face.points[*k] == other).map(|k| face.wedges[k])
         })
     }
 
@@ -426,7 +460,7 @@ impl<'a> Working<'a> {
         let mut moved = first;
         for i in first..first + count {
             let corner = self.pool[i as usize];
-            let (f, k) = (corner as usize / 3, corner as usize % 3);
+            let (f, k) = split(corner);
             let others = self.others(corner);
             for p in others {
                 let mark = &mut self.points[p as usize].mark;
@@ -437,7 +471,7 @@ impl<'a> Working<'a> {
             }
             if others.contains(&to) {
                 self.vanished.push(f as u32);
-                self.faces[f].points = [NONE; 3];
+                self.faces[f].points = [NONE; 4];
                 self.drop_corner(if others[0] == to { others[1] } else { others[0] }, f as u32);
                 self.drop_corner(to, f as u32);
                 continue;
@@ -469,7 +503,7 @@ impl<'a> Working<'a> {
     fn drop_corner(&mut self, p: u32, f: u32) {
         let point = &mut self.points[p as usize];
         let corners = &mut self.pool[point.first as usize..(point.first + point.count) as usize];
-        if let Some(at) = corners.iter().position(|corner| corner / 3 == f) {
+        if let Some(at) = corners.iter().position(|corner| corner / CORNER == f) {
             corners[at] = corners[corners.len() - 1];
             point.count -= 1;
         }

@@ -26,7 +26,7 @@ use crate::language::options::{self, BoundaryRule, Normals, RuleLevel, SubmeshRu
 use crate::language::{LevelBudget, StageSettings};
 
 /// Raised whenever the same input and parameters give another collapse sequence.
-pub(crate) const COLLAPSE_VERSION: u32 = 2;
+pub(crate) const COLLAPSE_VERSION: u32 = 3;
 /// Raised whenever the same sequence gives other dependencies.
 pub(crate) const PARTS_VERSION: u32 = 1;
 /// Raised whenever the same sequence and parameters give other levels.

@@ -101,7 +101,7 @@ impl Fit<'_> {
         };
         let of_face = |f: usize| {
             (0..3).flat_map(move |k| SHARES.map(|share| (k, share))).filter_map(move |(k, share)| {
-                let twin = self.topology.twin[f][k];
+                let twin = self.topology.twin((3 * f + k) as u32);
                 if twin == NONE || twin as usize / 3 <= f {
                     return None;
                 }

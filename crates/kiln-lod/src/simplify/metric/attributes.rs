@@ -85,6 +85,26 @@ impl AttributeForms {
         Some(own)
     }
 
+    /// Those of `wedges`, in that order.
+    pub(crate) fn part(&self, wedges: &[u32]) -> AttributeForms {
+        let pick = |values: &[f32], stride: usize| {
+            wedges.iter().flat_map(|w| &values[*w as usize * stride..][..stride]).copied().collect()
+        };
+        AttributeForms {
+            count: self.count,
+            inverse: self.inverse,
+            values: pick(&self.values, self.count),
+            forms: pick(&self.forms, FIXED + 4 * self.count),
+        }
+    }
+
+    /// Takes the forms of `wedges` back from [`AttributeForms::part`].
+    pub(crate) fn take_back(&mut self, part: &AttributeForms, wedges: &[u32]) {
+        for (w, form) in wedges.iter().zip(part.forms.chunks_exact(FIXED + 4 * self.count)) {
+            form_mut(&mut self.forms, self.count, *w).copy_from_slice(form);
+        }
+    }
+
     fn add_face(&mut self, mesh: &Mesh, triangle: &[u32; 3]) {
         let [a, b, c] = triangle.map(|v| mesh.positions[v as usize]);
         let (ab, ac) = ((b - a) * self.inverse, (c - a) * self.inverse);

@@ -59,7 +59,7 @@ impl<M: Metric> Metric for Bordered<'_, M> {
         self.near[p as usize] = self.surcharge.near(self.mesh, work.star(p, NONE));
     }
 
-    fn merge(&mut self, work: &mut Working<'_>, from: u32, to: u32) -> f64 {
-        self.base.merge(work, from, to)
+    fn merge(&mut self, work: &mut Working<'_>, from: u32, to: u32, place: Option<DVec3>) -> f64 {
+        self.base.merge(work, from, to, place)
     }
 }

@@ -21,12 +21,12 @@
 //! **Sources.** P. Lindstrom, G. Turk, "Fast and memory efficient polygonal simplification", IEEE Visualization 1998,
 //! doi:10.1109/VISUAL.1998.745314, and "Evaluation of memoryless simplification", TVCG 1999, doi:10.1109/2945.773803.
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use kiln_asset::Mesh;
-use rayon::prelude::*;
 
 use super::Metric;
-use crate::simplify::working::Working;
+use crate::simplify::rest::MetricRest;
+use crate::simplify::working::{Names, Working};
 use crate::topology::{NONE, PointKind};
 
 /// Share of the shape term: decides flat places and no others.
@@ -38,6 +38,15 @@ const HUB: usize = 16;
 /// Brings costs by the diagonal^6 into the middle of what single precision holds.
 const UNIT: f64 = 1e18;
 
+/// The metric between rounds.
+pub(in crate::simplify) struct MemorylessRest {
+    scale: f64,
+    unit: f32,
+    /// `[point_count]`.
+    errors: Vec<f32>,
+}
+
+/// The metric of a part.
 pub(in crate::simplify) struct Memoryless {
     /// [`UNIT`] / diagonal^6.
     scale: f64,
@@ -154,15 +163,11 @@ impl System {
             return None;
         }
         let more = hold * self.count;
-        let inverse = DMat3::from_cols(
-            DVec3::new(xx + more, xy, xz),
-            DVec3::new(xy, yy + more, yz),
-            DVec3::new(xz, yz, zz + more),
-        )
-        .inverse();
-        let free = inverse * (self.slope + self.around * hold);
-        // Onto the plane that preserves the volume, by the shortest way that the terms know.
-        let way = inverse * self.normal;
+        let adjugate = adjugate(&[xx + more, xy, xz, yy + more, yz, zz + more]);
+        let determinant = (xx + more) * adjugate[0] + xy * adjugate[1] + xz * adjugate[2];
+        let free = times(&adjugate, self.slope + self.around * hold) / determinant;
+        // Onto the plane that preserves the volume, by the shortest way that the terms know; the determinant falls out.
+        let way = times(&adjugate, self.normal);
         let along = self.normal.dot(way);
         // Faces that look in all directions enclose next to nothing: no plane.
         let told = self.normal.length_squared() > 1e-6 * self.square;
@@ -171,22 +176,48 @@ impl System {
     }
 }
 
+/// The inverse of a symmetric matrix times its determinant, which is positive in the terms that are solved here.
+#[inline]
+fn adjugate([xx, xy, xz, yy, yz, zz]: &[f64; 6]) -> [f64; 6] {
+    [yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy, xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy]
+}
+
 fn area([a, b, c]: [DVec3; 3]) -> f64 {
     0.5 * (b - a).cross(c - a).length()
 }
 
-impl Memoryless {
-    pub(in crate::simplify) fn new(mesh: &Mesh, work: &Working<'_>) -> Memoryless {
+impl MemorylessRest {
+    pub(in crate::simplify) fn new(mesh: &Mesh) -> MemorylessRest {
         let diagonal = f64::from(mesh.diagonal());
         let scale = if diagonal > 0.0 { UNIT * diagonal.powi(-6) } else { 1.0 };
-        let stars = (0..work.points.len() as u32).into_par_iter().map(|p| Star::of(work, p)).collect();
         // A square volume is a square distance times an area times four times the area of a face, in the mean.
         let area: f64 = mesh.triangles.iter().map(|t| t.map(|v| mesh.positions[v as usize].as_dvec3())).map(area).sum();
         let unit = (diagonal * diagonal * mesh.face_count() as f64 / (4.0 * UNIT * area)) as f32;
         let unit = if unit.is_finite() { unit } else { 0.0 };
-        Memoryless { scale, unit, stars, errors: vec![0.0; mesh.point_count()] }
+        MemorylessRest { scale, unit, errors: vec![0.0; mesh.point_count()] }
+    }
+}
+
+impl MetricRest for MemorylessRest {
+    type Part = Memoryless;
+
+    fn part(&self, work: &Working<'_>) -> Memoryless {
+        Memoryless {
+            scale: self.scale,
+            unit: self.unit,
+            stars: (0..work.points.len() as u32).map(|p| Star::of(work, p)).collect(),
+            errors: work.names.points.iter().map(|p| self.errors[*p as usize]).collect(),
+        }
     }
 
+    fn take_back(&mut self, part: &Memoryless, names: &Names) {
+        for (p, error) in names.points.iter().zip(&part.errors) {
+            self.errors[*p as usize] = *error;
+        }
+    }
+}
+
+impl Memoryless {
     /// The system of the edge, and the place of the point that stays: both relative to the one that goes.
     fn system(&self, work: &Working<'_>, from: u32, to: u32) -> (System, DVec3) {
         let origin = work.points[from as usize].position;
@@ -289,9 +320,9 @@ impl Metric for Memoryless {
         self.stars[p as usize] = Star::of(work, p);
     }
 
-    fn merge(&mut self, work: &mut Working<'_>, from: u32, to: u32) -> f64 {
+    fn merge(&mut self, work: &mut Working<'_>, from: u32, to: u32, place: Option<DVec3>) -> f64 {
         let (system, stays) = self.system(work, from, to);
-        let v = if Memoryless::moves(work, from, to) { system.solve().unwrap_or(stays) } else { stays };
+        let v = place.map_or(stays, |place| place - work.points[from as usize].position.as_dvec3());
         // The mean height of the new place over the old faces, added to what these were off by.
         let height = if system.square > 0.0 { (system.cost(v) / system.square).sqrt() } else { 0.0 };
         let error = self.errors[from as usize].max(self.errors[to as usize]) + height as f32;

@@ -60,7 +60,7 @@ pub(super) trait Metric {
     /// Faces at `p` have changed; called after each collapse where points move, and before `p` is priced anew where costs may fall.
     fn star_changed(&mut self, _work: &Working<'_>, _p: u32) {}
 
-    /// `from` falls to `to`; called before the faces change, with the pairs of wedges in [`Working::map`]. The length, in object
-    /// units, that `to` is off its source by from now on, as the metric sees it.
-    fn merge(&mut self, work: &mut Working<'_>, from: u32, to: u32) -> f64;
+    /// `from` falls to `to`, which goes to `place` ([`Metric::place`]); called before the faces change, with the pairs of wedges in
+    /// [`Working::map`]. The length, in object units, that `to` is off its source by from now on, as the metric sees it.
+    fn merge(&mut self, work: &mut Working<'_>, from: u32, to: u32, place: Option<DVec3>) -> f64;
 }

@@ -4,15 +4,17 @@
 //! constant parts start as exact zeros, and what is subtracted while evaluating is of the size of an edge and not of the
 //! model: flat regions cost 0 and not noise.
 
+use std::borrow::Cow;
+
 use glam::{DMat3, DVec3, Vec3};
 use kiln_asset::{Mesh, QuadricCoefficients};
-use rayon::prelude::*;
 
 use super::Metric;
 use super::attributes::AttributeForms;
 use crate::simplify::SimplifyOptions;
+use crate::simplify::rest::{MetricRest, Rest};
 use crate::simplify::sequence::{Collapse, CollapseSequence};
-use crate::simplify::working::Working;
+use crate::simplify::working::{Names, Working};
 use crate::topology::{EdgeKind, Topology, is_degenerate};
 
 /// Symmetric 4x4 error form about an origin, and the area that it stands for. Its unit is square distance times area.
@@ -320,10 +322,55 @@ impl Price {
     }
 }
 
-/// Targets that are priced at once.
-const LANES: usize = 8;
+/// The metric between rounds.
+pub(in crate::simplify) struct QuadricRest<'a> {
+    /// `[point_count]`, each about its own place.
+    quadrics: Cow<'a, [Quadric]>,
+    attributes: Option<AttributeForms>,
+    length_weight: f64,
+    scale: f64,
+}
 
-/// The metric.
+impl<'a> QuadricRest<'a> {
+    /// Gives the points of `rest` their own costs, too.
+    pub(in crate::simplify) fn new(quadrics: &'a [Quadric], rest: &mut Rest<'_>) -> QuadricRest<'a> {
+        let (mesh, options) = (rest.mesh, rest.options);
+        let diagonal = f64::from(mesh.diagonal());
+        let scale = if diagonal > 0.0 { diagonal.powi(-4) } else { 1.0 };
+        for (point, form) in rest.points.iter_mut().zip(quadrics) {
+            point.own = (form.one.max(0.0) * scale) as f32;
+        }
+        let attributes = if options.attributes { AttributeForms::new(mesh) } else { None };
+        QuadricRest { quadrics: Cow::Borrowed(quadrics), attributes, length_weight: options.length_weight, scale }
+    }
+}
+
+impl MetricRest for QuadricRest<'_> {
+    type Part = QuadricMetric;
+
+    fn part(&self, work: &Working<'_>) -> QuadricMetric {
+        let quadrics: Vec<Quadric> = work.names.points.iter().map(|p| self.quadrics[*p as usize]).collect();
+        QuadricMetric {
+            prices: quadrics.iter().map(|form| Price::of(form, self.length_weight, self.scale)).collect(),
+            quadrics,
+            attributes: self.attributes.as_ref().map(|attributes| attributes.part(&work.names.wedges)),
+            length_weight: self.length_weight,
+            scale: self.scale,
+        }
+    }
+
+    fn take_back(&mut self, part: &QuadricMetric, names: &Names) {
+        let quadrics = self.quadrics.to_mut();
+        for (p, form) in names.points.iter().zip(&part.quadrics) {
+            quadrics[*p as usize] = *form;
+        }
+        if let (Some(attributes), Some(part)) = (&mut self.attributes, &part.attributes) {
+            attributes.take_back(part, &names.wedges);
+        }
+    }
+}
+
+/// The metric of a part.
 pub(in crate::simplify) struct QuadricMetric {
     /// `[point_count]`, each about its own place.
     quadrics: Vec<Quadric>,
@@ -336,22 +383,6 @@ pub(in crate::simplify) struct QuadricMetric {
 }
 
 impl QuadricMetric {
-    pub(in crate::simplify) fn new(
-        mesh: &Mesh,
-        quadrics: Vec<Quadric>,
-        work: &mut Working<'_>,
-        options: &SimplifyOptions,
-    ) -> QuadricMetric {
-        let diagonal = f64::from(mesh.diagonal());
-        let scale = if diagonal > 0.0 { diagonal.powi(-4) } else { 1.0 };
-        let prices: Vec<Price> = quadrics.par_iter().map(|q| Price::of(q, options.length_weight, scale)).collect();
-        for (point, price) in work.points.iter_mut().zip(&prices) {
-            point.own = price.one;
-        }
-        let attributes = if options.attributes { AttributeForms::new(mesh) } else { None };
-        QuadricMetric { quadrics, prices, attributes, length_weight: options.length_weight, scale }
-    }
-
     fn slide(&self, attributes: &AttributeForms, work: &Working<'_>, [from, to, corner]: [u32; 3], step: Vec3) -> f32 {
         let pairs = work.pairs_beside(from, to, corner).into_iter().flatten();
         pairs.map(|[wedge, partner]| attributes.cost(wedge, partner, step)).sum()
@@ -376,29 +407,17 @@ impl Metric for QuadricMetric {
     fn costs(&self, work: &Working<'_>, from: u32, mut out: impl FnMut(f32, u32)) {
         let price = &self.prices[from as usize];
         let origin = work.points[from as usize].position;
-        for corners in work.corners(from).chunks(LANES) {
-            let mut to = [0; LANES];
-            let (mut x, mut y, mut z, mut own) = ([0.0; LANES], [0.0; LANES], [0.0; LANES], [0.0; LANES]);
-            for (i, corner) in corners.iter().enumerate() {
-                to[i] = work.others(*corner)[0];
-                let point = &work.points[to[i] as usize];
-                (x[i], y[i], z[i]) = (point.position - origin).into();
-                own[i] = point.own;
-            }
-            let mut costs = [0.0; LANES];
-            for i in 0..LANES {
-                costs[i] = price.at([x[i], y[i], z[i]], own[i]);
-            }
-            for (i, corner) in corners.iter().enumerate() {
-                let slide = self.attributes.as_ref().map(|attributes| {
-                    self.slide(attributes, work, [from, to[i], *corner], Vec3::new(x[i], y[i], z[i]))
-                });
-                out(slide.map_or(costs[i], |slide| costs[i] + slide), to[i]);
-            }
+        for corner in work.corners(from) {
+            let to = work.others(*corner)[0];
+            let point = &work.points[to as usize];
+            let step = point.position - origin;
+            let cost = price.at(step.to_array(), point.own);
+            let slide = self.attributes.as_ref().map(|a| self.slide(a, work, [from, to, *corner], step));
+            out(slide.map_or(cost, |slide| cost + slide), to);
         }
     }
 
-    fn merge(&mut self, work: &mut Working<'_>, from: u32, to: u32) -> f64 {
+    fn merge(&mut self, work: &mut Working<'_>, from: u32, to: u32, _place: Option<DVec3>) -> f64 {
         let step = work.points[to as usize].position - work.points[from as usize].position;
         let moved = self.quadrics[from as usize].about(step.as_dvec3());
         let form = &mut self.quadrics[to as usize];

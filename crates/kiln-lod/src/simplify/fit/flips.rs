@@ -46,7 +46,8 @@ impl Quad {
 }
 
 impl Fit<'_> {
-    /// Flips what is better flipped, in `raw` and in the topology; whether anything was. `back`: ties of the edges to the source.
+    /// Flips what is better flipped, in `raw` and in the topology; `[face_count]`: whether a face was. `back`: ties of the edges to the
+    /// source.
     pub(super) fn flip(
         &mut self,
         raw: &mut RawMesh,
@@ -54,7 +55,7 @@ impl Fit<'_> {
         [ties, back]: [&[Tie]; 2],
         samples: &ByFace,
         loose: impl Fn(u32) -> bool,
-    ) -> bool {
+    ) -> Vec<bool> {
         let square = |tie: &Tie| {
             let on: DVec3 = (0..3).map(|k| at[tie.points[k] as usize] * tie.bary[k]).sum();
             (tie.along - tie.direction.dot(on)).powi(2)
@@ -75,7 +76,6 @@ impl Fit<'_> {
         let mut touched = vec![false; raw.triangles.len()];
         let mut new_ends = vec![false; at.len()];
         let mut lost = vec![0_u32; at.len()];
-        let mut any = false;
         for (_, corner) in edges {
             if touched[corner as usize / 3] {
                 continue;
@@ -103,12 +103,11 @@ impl Fit<'_> {
             quad.faces.iter().for_each(|f| touched[*f as usize] = true);
             [c, d].iter().for_each(|p| new_ends[*p as usize] = true);
             [a, b].iter().for_each(|p| lost[*p as usize] += 1);
-            any = true;
         }
-        if any {
+        if touched.contains(&true) {
             self.topology.sort_corners();
         }
-        any
+        touched
     }
 
     /// The square of the farthest that a diagonal and two faces lie from the source.
@@ -219,9 +218,9 @@ mod tests {
         };
         let ties = fit.ties(&at);
         let by_face = ByFace::new(&ties, 16);
-        let back = fit.ties_back(&at, &by_face);
-        let any = fit.flip(&mut raw, &at, [&ties, &back], &by_face, |_| true);
-        assert_eq!(any, raw.triangles != level.triangles);
+        let back = fit.ties_back(&at, &by_face, |_| true);
+        let flipped = fit.flip(&mut raw, &at, [&ties, &back], &by_face, |_| true);
+        assert_eq!(flipped.contains(&true), raw.triangles != level.triangles);
         assert_eq!(fit.topology.face_points, raw.triangles);
         [level.triangles.clone(), raw.triangles]
     }

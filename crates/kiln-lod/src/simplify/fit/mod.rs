@@ -45,7 +45,7 @@ use kiln_asset::{Mesh, RawMesh};
 use rayon::prelude::*;
 
 use back::ByFace;
-use stars::{Stars, frames};
+use stars::{Place, Stars, frames};
 
 use super::metric::quadric::Quadric;
 use super::sequence::Replayed;
@@ -254,14 +254,9 @@ impl Fit<'_> {
         let mut pulls = vec![Pull::default(); at.len()];
         for round in 0..ROUNDS {
             let mut ties = self.ties(&at);
-            let mut samples = ByFace::new(&ties, raw.triangles.len());
-            let mut back = self.ties_back(&at, &samples);
-            if round > 0 && self.flip(raw, &at, [&ties, &back], &samples, |p| forms[p as usize].is_some()) {
-                ties = self.ties(&at);
-                samples = ByFace::new(&ties, raw.triangles.len());
-                back = self.ties_back(&at, &samples);
+            if round + 1 == ROUNDS {
+                self.look_back(raw, &at, &mut ties, |p| forms[p as usize].is_some());
             }
-            ties.extend(back);
             for _ in 0..SWEEPS {
                 pulls.fill(Pull::default());
                 for tie in &ties {
@@ -290,45 +285,64 @@ impl Fit<'_> {
 
     /// The samples at their places on the level.
     fn ties(&self, at: &[DVec3]) -> Vec<Tie> {
-        let stars = Stars {
-            frames: &frames(&self.topology.face_points, at),
-            face_points: &self.topology.face_points,
-            face_nodes: &self.topology.face_points,
-            first: &self.topology.first,
-            corners: &self.topology.corners,
-        };
-        let tie = |(sample, weight): (&u32, &f64)| {
+        let frames = frames(&self.topology.face_points, at);
+        let stars = Stars::of_points(&self.topology, &frames);
+        let find = |(sample, weight): (&u32, &f64)| {
             let x = self.place_of_sample(*sample);
             let heir = self.heirs[self.vertex_at(*sample) as usize];
             let place = stars.nearest(at, self.point_of[heir as usize], x);
-            if place.face == NONE {
-                return (None, 0.0);
-            }
-            let points = self.topology.face_points[place.face as usize];
-            let [a, b, c] = points.map(|p| at[p as usize]);
-            let bary = place.bary.map(f64::from);
-            let normal = (b - a).cross(c - a).normalize_or_zero();
-            let rim = bary.iter().any(|b| *b <= 0.0);
-            let direction =
-                if rim { (x - (a * bary[0] + b * bary[1] + c * bary[2])).normalize_or(normal) } else { normal };
-            let weight = *weight;
-            (
-                Some((
-                    Tie { sample: *sample, face: place.face, points, bary, direction, along: direction.dot(x), weight },
-                    rim,
-                )),
-                place.distance,
-            )
+            (place.face != NONE).then(|| (self.tie(*sample, *weight, &place, at), place.distance))
         };
-        let found: Vec<(Option<(Tie, bool)>, f64)> =
-            (self.chosen.samples.par_iter().zip(&self.chosen.weights)).map(tie).collect();
+        let found: Vec<Option<(Tie, f64)>> =
+            (self.chosen.samples.par_iter().zip(&self.chosen.weights)).map(find).collect();
         let mut sum = [0.0; 2];
-        for ((tie, _), distance) in found.iter().filter_map(|(tie, distance)| Some((tie.as_ref()?, distance))) {
+        for (tie, distance) in found.iter().flatten() {
             sum[0] += tie.weight * distance;
             sum[1] += tie.weight;
         }
         let limit = STRAY * sum[0] / sum[1];
-        found.into_iter().filter_map(|(tie, d)| tie.filter(|(_, rim)| !rim || d <= limit).map(|(tie, _)| tie)).collect()
+        let is_near = |(tie, distance): &(Tie, f64)| *distance <= limit || tie.bary.iter().all(|b| *b > 0.0);
+        found.into_iter().flatten().filter(is_near).map(|(tie, _)| tie).collect()
+    }
+
+    /// The tie of a sample to its place.
+    fn tie(&self, sample: u32, weight: f64, place: &Place, at: &[DVec3]) -> Tie {
+        let x = self.place_of_sample(sample);
+        let points = self.topology.face_points[place.face as usize];
+        let [a, b, c] = points.map(|p| at[p as usize]);
+        let bary = place.bary.map(f64::from);
+        let mut direction = (b - a).cross(c - a).normalize_or_zero();
+        if bary.iter().any(|b| *b <= 0.0) {
+            direction = (x - (a * bary[0] + b * bary[1] + c * bary[2])).normalize_or(direction);
+        }
+        Tie { sample, face: place.face, points, bary, direction, along: direction.dot(x), weight }
+    }
+
+    /// Adds the ties of the level's edges to the source, and flips edges for which no place helps.
+    fn look_back(&mut self, raw: &mut RawMesh, at: &[DVec3], ties: &mut Vec<Tie>, loose: impl Fn(u32) -> bool) {
+        let samples = ByFace::new(ties, raw.triangles.len());
+        let mut back = self.ties_back(at, &samples, |_| true);
+        let flipped = self.flip(raw, at, [ties, &back], &samples, loose);
+        if flipped.contains(&true) {
+            for tie in ties.iter_mut().filter(|tie| flipped[tie.face as usize]) {
+                self.tie_anew(tie, at);
+            }
+            back.retain(|tie| !flipped[tie.face as usize]);
+            back.extend(self.ties_back(at, &samples, |f| flipped[f as usize]));
+        }
+        ties.append(&mut back);
+    }
+
+    /// Finds the place of a tie on faces that were flipped.
+    fn tie_anew(&self, tie: &mut Tie, at: &[DVec3]) {
+        let x = self.place_of_sample(tie.sample);
+        let mut best = Place { face: NONE, bary: [0.0; 3], distance: f64::INFINITY };
+        for p in tie.points {
+            best = Stars::of_points(&self.topology, &[]).around(at, p, x, best);
+        }
+        if best.face != NONE {
+            *tie = self.tie(tie.sample, tie.weight, &best, at);
+        }
     }
 
     /// Samples on lines pull the nearer of the line's edges at their heir towards them, across it.

@@ -4,7 +4,7 @@ use glam::DVec3;
 use kiln_geom::triangle::closest_point;
 use rayon::prelude::*;
 
-use crate::topology::NONE;
+use crate::topology::{NONE, Topology};
 
 /// Most points that a walk visits.
 const STEPS: usize = 6;
@@ -50,7 +50,13 @@ pub(super) struct Stars<'a> {
     pub(super) corners: &'a [u32],
 }
 
-impl Stars<'_> {
+impl<'a> Stars<'a> {
+    /// Those of points.
+    pub(super) fn of_points(topology: &'a Topology, frames: &'a [Frame]) -> Stars<'a> {
+        let faces = &topology.face_points;
+        Stars { frames, face_points: faces, face_nodes: faces, first: &topology.first, corners: &topology.corners }
+    }
+
     /// The place of `x` in the nearest of the faces at `node` over or under which it lies; else as [`Stars::walk`] finds it.
     pub(super) fn nearest(&self, at: &[DVec3], node: u32, x: DVec3) -> Place {
         let mut best = Place { face: NONE, bary: [0.0; 3], distance: f64::INFINITY };
@@ -76,14 +82,7 @@ impl Stars<'_> {
         let mut best = Place { face: NONE, bary: [0.0; 3], distance: f64::INFINITY };
         for _ in 0..STEPS {
             let before = best.distance;
-            for corner in &self.corners[self.first[node as usize] as usize..self.first[node as usize + 1] as usize] {
-                let face = corner / 3;
-                let [a, b, c] = self.face_points[face as usize].map(|p| at[p as usize]);
-                let near = closest_point(x, a, b, c);
-                if near.distance_squared < best.distance {
-                    best = Place { face, bary: near.bary.map(|b| b as f32), distance: near.distance_squared };
-                }
-            }
+            best = self.around(at, node, x, best);
             if best.distance >= before || best.bary.iter().all(|b| *b > 0.0) {
                 break;
             }
@@ -94,6 +93,19 @@ impl Stars<'_> {
                 break;
             }
             node = next;
+        }
+        best
+    }
+
+    /// The nearer to `x` of `best` and the places on the faces at `node`.
+    pub(super) fn around(&self, at: &[DVec3], node: u32, x: DVec3, mut best: Place) -> Place {
+        for corner in &self.corners[self.first[node as usize] as usize..self.first[node as usize + 1] as usize] {
+            let face = corner / 3;
+            let [a, b, c] = self.face_points[face as usize].map(|p| at[p as usize]);
+            let near = closest_point(x, a, b, c);
+            if near.distance_squared < best.distance {
+                best = Place { face, bary: near.bary.map(|b| b as f32), distance: near.distance_squared };
+            }
         }
         best
     }

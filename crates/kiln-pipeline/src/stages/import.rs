@@ -14,7 +14,7 @@ use crate::language::options::AssetOptions;
 use crate::language::setting::Options;
 
 /// Raised whenever the same files give another asset.
-pub(crate) const VERSION: u32 = 2;
+pub(crate) const VERSION: u32 = 3;
 
 /// Imports `model` (relative to the plan's root). Outputs: `mesh`, `materials`, `image/N`, and `inputs`: names and contents of
 /// the files read, for the container's provenance. There the model is called `model`, so that a renamed one changes nothing.

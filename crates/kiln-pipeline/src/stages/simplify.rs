@@ -30,7 +30,7 @@ pub(crate) const COLLAPSE_VERSION: u32 = 3;
 /// Raised whenever the same sequence gives other dependencies.
 pub(crate) const PARTS_VERSION: u32 = 1;
 /// Raised whenever the same sequence and parameters give other levels.
-pub(crate) const LEVELS_VERSION: u32 = 2;
+pub(crate) const LEVELS_VERSION: u32 = 3;
 
 /// Keys that only the cut reads.
 const LEVEL_KEYS: [&str; 6] = ["levels", "normals", "normal-angle", "placement", "prune", "submesh"];

@@ -5,7 +5,7 @@
 //! side. And an attribute that was taken at one old place is wrong over the faces that its vertex carries now.
 //!
 //! **Method.** The log knows for each vertex of the source which vertex of the level it went to, its *heir*; so its place on
-//! the level is a short walk away from its heir, without a search. Then least squares with a fixed connectivity:
+//! the level is a short walk away from its heir, without a search. Then least squares:
 //! ```text
 //! p_i <- least of its form, if that is near
 //! ROUNDS times:
@@ -16,6 +16,8 @@
 //!         r_i <- sum of w b_i n (n . (x - place)) - FORM * half the gradient of its form
 //!         p_i <- p_i + (A_i + HOLD trace A_i)^-1 r_i
 //!     points of faces that turned go back
+//!     in the last round the level looks back, too: middles of its edges pull towards the source (back), and edges for which no
+//!     place helps flip (flips)
 //! attributes: the same with n n' replaced by 1, so that b interpolates at each sample what the source has there
 //! ```
 //! Since the b_i of a place sum to 1, the `A_i` bound the true normal matrix from above: no sweep makes the sum of squares
@@ -28,9 +30,10 @@
 //! maps. A place for an attribute is sought only on faces that hang together by vertices, so nothing is read across a seam.
 //!
 //! **Departures.** Garland and Heckbert solve for the least of the form at every collapse. Hoppe finds places by a search and
-//! alternates with changes of connectivity; here the log gives them, and connectivity is settled.
+//! alternates with changes of connectivity; here the log gives them, and of connectivity only some diagonals change.
 //!
-//! **Limits.** Samples are the source's vertices: where the level has nearly as many, they say little and the form decides.
+//! **Limits.** The greatest distance is not what is minimised: where a valley has too few points left, no place of theirs and no flip
+//! brings an edge down into it.
 //!
 //! **Sources.** H. Hoppe et al., "Mesh optimization", SIGGRAPH 1993, doi:10.1145/166117.166119. M. Garland, P. Heckbert,
 //! SIGGRAPH 1997, doi:10.1145/258734.258849. The use of the log is ours.

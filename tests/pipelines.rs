@@ -88,3 +88,55 @@ fn texture_border_builds_and_draws_its_borders_without_a_trace_in_the_cache() {
     assert_eq!(space.read("pipelines/build/texture-border/pot.kiln"), container);
     assert_eq!(space.run(args).expect(0).json()["fresh"], true);
 }
+
+#[test]
+fn by_views_builds_and_draws_regions_and_views_without_a_trace_in_the_cache() {
+    let space = copied("by-views.toml");
+    let args = ["build", "pipelines/by-views.toml", "--json"];
+    let report = space.run(args).expect(0).json();
+    let stages = report["assets"][0]["stages"].as_array().unwrap();
+    let counted = stages.iter().map(|s| s["report"]["regions"].clone()).find(|r| !r.is_null()).expect("regions");
+    let pictures = counted["pictures"].as_array().unwrap();
+    let sum: u64 = pictures.iter().map(|p| p["regions"].as_u64().unwrap()).sum();
+    assert!(!pictures.is_empty() && sum >= pictures.len() as u64, "{counted:#}");
+    // Materials without a picture have a region each.
+    assert!(counted["regions"].as_u64().unwrap() >= sum, "{counted:#}");
+
+    let container = space.read("pipelines/build/by-views/pot.kiln");
+    let drawn = space.run([&args[..], &["--debug-images", "views"]].concat()).expect(0).json();
+    assert_eq!(drawn["fresh"], true, "a debug flag makes nothing stale");
+    let names: Vec<String> =
+        fs::read_dir(space.path("views")).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    assert_eq!(names.iter().filter(|n| n.ends_with(".regions.png")).count(), pictures.len(), "{names:?}");
+    let sheet = names.iter().find(|n| n.ends_with("lods.views.png")).unwrap_or_else(|| panic!("{names:?}"));
+    // Twelve views of 128 pixels, four in a row.
+    let sheet = image::open(space.path("views").join(sheet)).unwrap();
+    assert_eq!((sheet.width(), sheet.height()), (4 * 136 + 8, 3 * 136 + 8));
+    assert_eq!(space.read("pipelines/build/by-views/pot.kiln"), container);
+    assert_eq!(space.run(args).expect(0).json()["fresh"], true);
+}
+
+#[test]
+fn every_key_of_a_metric_of_views_makes_its_collapse_run_again_and_nothing_before_it() {
+    let space = copied("by-views.toml");
+    let build = |metric: &str| {
+        let set = format!("stage.lods.metric={metric}");
+        let report = space.run(["build", "pipelines/by-views.toml", "--json", "--set", &set]).expect(0).json();
+        let stages = report["assets"][0]["stages"].as_array().unwrap().clone();
+        stages
+            .iter()
+            .filter(|s| s["state"] != "fresh")
+            .map(|s| s["stage"].as_str().unwrap().to_owned())
+            .collect::<Vec<_>>()
+    };
+    let base = "kind = \"region-entropy\", views = 4, size = 32";
+    build(&format!("{{ {base} }}"));
+    assert_eq!(build(&format!("{{ {base}, alpha = 1.0 }}")), [""; 0], "a default that is named changes nothing");
+    for key in
+        ["alpha = 1.25", "update = \"published\"", "prepass = 0.9", "sigma = 1", "k = 200", "min-size = 9", "side = 64"]
+    {
+        let ran = build(&format!("{{ {base}, {key} }}"));
+        assert!(ran.iter().any(|stage| stage == "lods, collapse"), "{key}: {ran:?}");
+        assert!(!ran.iter().any(|stage| stage.starts_with("near") || stage == "import"), "{key}: {ran:?}");
+    }
+}

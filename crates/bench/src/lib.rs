@@ -4,10 +4,11 @@
 //! noisy, ratios less so. `cargo run --release -p kiln-bench --bin simplify -- MODEL...`
 //!
 //! [`model`] and [`median`] are what all programs need; [`peer`] is meshoptimizer as its users call it, [`rows`] a page of results
-//! for the terminal and a file, [`memory`] the process' own.
+//! for the terminal and a file, [`plot`] its curves, [`memory`] the process' own.
 
 pub mod memory;
 pub mod peer;
+pub mod plot;
 pub mod rows;
 
 use std::path::Path;

@@ -8,7 +8,7 @@
 //! snap corners to 1/256 texel; orient so that twice the area A > 0; stop at A = 0
 //! edge function E_i(p) = cross(b - a, p - a), an i64, exact; bary_i = E_i / A
 //! covered: for all i, E_i(p) > 0, or E_i(p) = 0 and edge i is a top or a left edge
-//! for each row of the box: solve the three inequalities for x by integer division, visit the span
+//! for each row of the box: solve the three inequalities for x in integers, visit the span
 //! ```
 //!
 //! Limits: a corner further than 2^21 texels from the origin is moved to that distance in each coordinate (the edge
@@ -69,7 +69,46 @@ pub fn rasterise_rect(corners: [Vec2; 3], rect: Rect, mut visit: impl FnMut(u32,
 /// [`rasterise_rect`] with exact integers: `visit(x, y, weights, area)`, barycentric coordinate `i` = `weights[i] / area`,
 /// weights sum to `area`, which is positive. For callers that interpolate depth or compare exactly.
 pub fn rasterise_exact(corners: [Vec2; 3], rect: Rect, mut visit: impl FnMut(u32, u32, [i64; 3], i64)) {
-    let Some([a, b, c]) = snap(corners) else { return };
+    let Some(corners) = snap(corners) else { return };
+    rasterise_spans(corners, rect, |span| {
+        let mut weights = span.weights;
+        for x in span.x0..span.x1 {
+            visit(x, span.y, weights, span.area);
+            weights = [0, 1, 2].map(|i| weights[i] + span.steps[i]);
+        }
+    });
+}
+
+/// A row of covered texels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Span {
+    /// The row.
+    pub y: u32,
+    /// First column.
+    pub x0: u32,
+    /// Behind the last column.
+    pub x1: u32,
+    /// Weights of the corners at the first column: barycentric coordinate `i` = `weights[i] / area`.
+    pub weights: [i64; 3],
+    /// What the weights grow by from column to column.
+    pub steps: [i64; 3],
+    /// Sum of the weights, above 0.
+    pub area: i64,
+}
+
+/// [`rasterise_exact`] row by row, from corners in 1/256 texel, as [`snap`] gives them: at most 2^29 in magnitude.
+#[inline]
+pub fn rasterise_spans([a, b, c]: [[i64; 2]; 3], rect: Rect, mut visit: impl FnMut(Span)) {
+    let centre_floor = |v: i64| (v - SUBTEXEL / 2).div_euclid(SUBTEXEL);
+    let low = |k: usize| a[k].min(b[k]).min(c[k]);
+    let high = |k: usize| a[k].max(b[k]).max(c[k]);
+    let x_first = (centre_floor(low(0) - 1) + 1).max(rect.x0 as i64);
+    let y_first = (centre_floor(low(1) - 1) + 1).max(rect.y0 as i64);
+    let x_end = (centre_floor(high(0)) + 1).min(rect.x1 as i64);
+    let y_end = (centre_floor(high(1)) + 1).min(rect.y1 as i64);
+    if x_first >= x_end || y_first >= y_end {
+        return;
+    }
     let cross = |o: [i64; 2], p: [i64; 2], q: [i64; 2]| (p[0] - o[0]) * (q[1] - o[1]) - (p[1] - o[1]) * (q[0] - o[0]);
     let area = cross(a, b, c);
     if area == 0 {
@@ -79,27 +118,18 @@ pub fn rasterise_exact(corners: [Vec2; 3], rect: Rect, mut visit: impl FnMut(u32
     let flip = area < 0;
     let (area, ring) = if flip { (-area, [a, c, b]) } else { (area, [a, b, c]) };
     let edges = [Edge::new(ring[1], ring[2]), Edge::new(ring[2], ring[0]), Edge::new(ring[0], ring[1])];
-
-    let centre_floor = |v: i64| (v - SUBTEXEL / 2).div_euclid(SUBTEXEL);
-    let low = |k: usize| a[k].min(b[k]).min(c[k]);
-    let high = |k: usize| a[k].max(b[k]).max(c[k]);
-    let x_first = (centre_floor(low(0) - 1) + 1).max(rect.x0 as i64);
-    let y_first = (centre_floor(low(1) - 1) + 1).max(rect.y0 as i64);
-    let x_end = (centre_floor(high(0)) + 1).min(rect.x1 as i64);
-    let y_end = (centre_floor(high(1)) + 1).min(rect.y1 as i64);
+    let ordered = |[w0, w1, w2]: [i64; 3]| if flip { [w0, w2, w1] } else { [w0, w1, w2] };
+    let steps = ordered([edges[0].step_x, edges[1].step_x, edges[2].step_x]);
+    let mut sides = [Side::new(&edges[0], y_first), Side::new(&edges[1], y_first), Side::new(&edges[2], y_first)];
     for y in y_first..y_end {
         let (mut from, mut to) = (x_first, x_end);
-        for edge in &edges {
-            edge.narrow(y, &mut from, &mut to);
+        for side in &mut sides {
+            side.narrow(&mut from, &mut to);
+            side.descend();
         }
-        if from >= to {
-            continue;
-        }
-        let mut weights = [0, 1, 2].map(|i: usize| edges[i].at(from, y));
-        for x in from..to {
-            let [w0, w1, w2] = weights;
-            visit(x as u32, y as u32, if flip { [w0, w2, w1] } else { weights }, area);
-            weights = [w0 + edges[0].step_x, w1 + edges[1].step_x, w2 + edges[2].step_x];
+        if from < to {
+            let weights = ordered([edges[0].at(from, y), edges[1].at(from, y), edges[2].at(from, y)]);
+            visit(Span { y: y as u32, x0: from as u32, x1: to as u32, weights, steps, area });
         }
     }
 }
@@ -114,6 +144,7 @@ struct Edge {
 }
 
 impl Edge {
+    #[inline]
     fn new(from: [i64; 2], to: [i64; 2]) -> Edge {
         let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
         let half = SUBTEXEL / 2;
@@ -125,19 +156,62 @@ impl Edge {
         }
     }
 
+    #[inline]
     fn at(&self, x: i64, y: i64) -> i64 {
         self.origin + self.step_x * x + self.step_y * y
     }
+}
 
-    /// Shrinks `[from, to)` to the columns of row `y` on the inner side.
-    fn narrow(&self, y: i64, from: &mut i64, to: &mut i64) {
-        // step_x x >= need
-        let need = self.least - self.origin - self.step_y * y;
-        match self.step_x {
-            0 if need > 0 => *to = *from,
-            0 => {}
-            step if step > 0 => *from = (*from).max(-(-need).div_euclid(step)),
-            step => *to = (*to).min((-need).div_euclid(-step) + 1),
+/// Where an edge bounds the columns of a row: `step_x x >= need`, `need` changing by the same amount from row to row, so that after
+/// the first row the quotient follows by additions.
+struct Side {
+    /// |step_x|.
+    step: i64,
+    rising: bool,
+    /// `-need` by `step`, rounded down, and what is left of it, in `[0, step)`. A vertical edge has no quotient, and the rest is `need`.
+    quotient: i64,
+    rest: i64,
+    quotient_step: i64,
+    rest_step: i64,
+}
+
+impl Side {
+    #[inline]
+    fn new(edge: &Edge, y: i64) -> Side {
+        let need = edge.least - edge.origin - edge.step_y * y;
+        let (step, rising) = (edge.step_x.abs(), edge.step_x > 0);
+        if step == 0 {
+            return Side { step, rising, quotient: 0, rest: need, quotient_step: 0, rest_step: -edge.step_y };
+        }
+        // ceil(need / step) = -floor(-need / step); a falling edge needs x <= floor(-need / step).
+        let (value, change) = (-need, edge.step_y);
+        let (quotient, rest) = (value.div_euclid(step), value.rem_euclid(step));
+        let (quotient_step, rest_step) = (change.div_euclid(step), change.rem_euclid(step));
+        Side { step, rising, quotient, rest, quotient_step, rest_step }
+    }
+
+    /// Shrinks `[from, to)` to the columns on the inner side.
+    #[inline]
+    fn narrow(&self, from: &mut i64, to: &mut i64) {
+        if self.step == 0 {
+            if self.rest > 0 {
+                *to = *from;
+            }
+        } else if self.rising {
+            *from = (*from).max(-self.quotient);
+        } else {
+            *to = (*to).min(self.quotient + 1);
+        }
+    }
+
+    /// Goes on to the next row.
+    #[inline]
+    fn descend(&mut self) {
+        self.quotient += self.quotient_step;
+        self.rest += self.rest_step;
+        if self.step != 0 && self.rest >= self.step {
+            self.rest -= self.step;
+            self.quotient += 1;
         }
     }
 }

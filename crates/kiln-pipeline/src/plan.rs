@@ -25,7 +25,7 @@ use crate::language::{
     self, AssetBuild, Diagnostic, DirEntry, Family, Pipeline, RelativeTo, ResolvedPipeline, Sources, Stage, StageInput,
     StageSettings, has_errors,
 };
-use crate::stages::{self, Backend, TextureBorderView, XatlasWorker};
+use crate::stages::{self, Backend, DebugView, XatlasWorker};
 
 /// What makes a plan beside the pipeline's text.
 #[derive(Clone, Default)]
@@ -53,8 +53,8 @@ pub struct PlannedAsset {
     pub actions: Vec<(usize, String)>,
     /// The pipeline as it holds for this model, every default filled, as TOML.
     pub resolved: String,
-    /// Its collapses with `texture-border`, for debug pictures.
-    pub texture_borders: Vec<TextureBorderView>,
+    /// Its collapses that see textures or views, for debug pictures.
+    pub debug_views: Vec<DebugView>,
 }
 
 /// A plan and what it was made from.
@@ -244,7 +244,7 @@ impl Planner<'_> {
         let import = self.push(stages::import::action(id("import"), label("import"), &input, &pipeline.asset.options));
         let mut actions = vec![(import, "import".to_owned())];
         let mut results: Vec<Placed> = Vec::new();
-        let mut texture_borders = Vec::new();
+        let mut debug_views = Vec::new();
         let mut container = import;
         for stage in &resolved.stages {
             let before = match stage.input {
@@ -270,10 +270,7 @@ impl Planner<'_> {
                         &inputs,
                     );
                     let collapse = self.push(collapse);
-                    if let Some(options) = &options.texture_border {
-                        let (stage, options) = (stage.id.clone(), options.clone());
-                        texture_borders.push(TextureBorderView { action: collapse, stage, options });
-                    }
+                    debug_views.extend(DebugView::of(collapse, &stage.id, options));
                     actions.push((collapse, format!("{}, collapse", stage.id)));
                     let sequence = Source::output(collapse, "sequence");
                     let rules = rules_of(stage, &resolved.stages);
@@ -332,7 +329,7 @@ impl Planner<'_> {
         }
         let target = self.plan.targets.len();
         self.plan.targets.push(Target { path: output.clone(), action: container, output: "container".into() });
-        PlannedAsset { input, output, target, actions, resolved: resolved.to_resolved_toml(), texture_borders }
+        PlannedAsset { input, output, target, actions, resolved: resolved.to_resolved_toml(), debug_views }
     }
 }
 

@@ -1,4 +1,5 @@
-//! Debug pictures of a build: textures with their borders and the edges that cross them.
+//! Debug pictures of a build: textures with their borders and the edges that cross them, textures with their regions, and what the
+//! views of a metric see.
 //!
 //! They are computed from the inputs of the stages as the cache holds them, after the build, whether a stage ran or was fresh: no
 //! fingerprint, record or output knows of them.
@@ -39,7 +40,7 @@ pub(crate) fn debug_pictures(
     };
     let (mut pictures, mut missing) = (Vec::new(), Vec::new());
     for asset in &planned.assets {
-        for view in &asset.texture_borders {
+        for view in &asset.debug_views {
             let source = |name: &str| {
                 let inputs = &planned.plan.actions[view.action].inputs;
                 inputs.iter().find(|input| input.name == name).map(|input| &input.source)
@@ -55,7 +56,8 @@ pub(crate) fn debug_pictures(
                 _ => Vec::new(),
             };
             let place = format!("{}, stage {}", asset.input, view.stage);
-            let (Some(mesh), Some(materials)) = (input("in"), input("materials")) else {
+            let materials = if view.reads_materials() { input("materials") } else { Some(Arc::from([].as_slice())) };
+            let (Some(mesh), Some(materials)) = (input("in"), materials) else {
                 missing.push(format!("{place}: no debug pictures, the cache has not what they are made from"));
                 continue;
             };

@@ -46,12 +46,14 @@ mod levels;
 mod log;
 mod metric;
 pub mod parts;
+mod plane;
 mod regions;
 mod rest;
 pub mod rules;
 pub mod sequence;
 pub mod texture_border;
 mod uv_border;
+pub mod viewpoint;
 mod working;
 
 use kiln_asset::{Mesh, QuadricCoefficients, UvLayout};
@@ -151,6 +153,8 @@ pub struct Conditions<'a> {
     pub locked: &'a [bool],
     /// Collapses that would move these borders of textures cost more.
     pub borders: Option<&'a TextureBorders>,
+    /// Collapses go in the order of what these views of the mesh lose; the options' metric breaks ties as [`MetricKind::Quadric`].
+    pub views: Option<&'a viewpoint::ViewCondition<'a>>,
 }
 
 /// As [`collapse`], under conditions.
@@ -164,6 +168,16 @@ pub fn collapse_under(
     let topology = Topology::new(mesh);
     let forms = Forms::new(mesh, &topology, carried, options);
     let locked = if conditions.locked.contains(&true) { points_of(mesh, conditions.locked) } else { Vec::new() };
+    if let Some(views) = conditions.views {
+        return viewpoint::collapse_seen(
+            mesh,
+            (&topology, &forms),
+            layout,
+            options,
+            &locked,
+            (conditions.borders, views),
+        );
+    }
     collapse_prepared(mesh, &topology, &forms, layout, options, &locked, conditions.borders)
 }
 

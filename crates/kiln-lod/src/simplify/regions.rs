@@ -21,7 +21,8 @@
 //! thread, since a region lies in the core's own cache; on two threads the loop and not only the preparation is shared.
 //!
 //! **Limits.** Just before a round ends its levels have some points too many where regions meet. What keeps values of its own along a
-//! sequence, namely borders of an atlas and of textures, is collapsed as one part.
+//! sequence, namely borders of an atlas and of textures, is collapsed as one part, and so is what goes by views: any place may show
+//! in the same pixel as any other.
 
 use kiln_asset::{Mesh, UvLayout};
 use rayon::prelude::*;

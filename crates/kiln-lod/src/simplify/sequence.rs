@@ -73,6 +73,11 @@ impl CollapseSequence {
         CollapseSequence { face_count, vertex_count, ..Default::default() }
     }
 
+    /// Faces of the mesh that it is of.
+    pub(super) fn face_count(&self) -> u32 {
+        self.face_count
+    }
+
     /// What ended it.
     pub fn report(&self) -> &SequenceReport {
         &self.report

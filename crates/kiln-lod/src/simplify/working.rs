@@ -123,7 +123,8 @@ impl<'a> Working<'a> {
             let mut of_point = vec![0.0_f32; points.len()];
             for face in &faces {
                 for k in 0..3 {
-                    let of_wedge = importance[names.wedges[face.wedges[k] as usize] as usize];
+                    // Without its sign: that of a zero would be one of a cost.
+                    let of_wedge = importance[names.wedges[face.wedges[k] as usize] as usize].abs();
                     let of_point = &mut of_point[face.points[k] as usize];
                     *of_point = of_point.max(of_wedge);
                 }
@@ -207,10 +208,16 @@ impl<'a> Working<'a> {
         [Some(pair), other]
     }
 
+    /// By how much dearer than others it is for `from` to go: unitless, 0 or more.
+    #[inline]
+    pub(super) fn importance(&self, from: u32) -> f32 {
+        self.importance.get(from as usize).copied().unwrap_or(1.0)
+    }
+
     /// The cost of `from` by its importance.
     #[inline]
     pub(super) fn weighed(&self, from: u32, cost: f32) -> f32 {
-        self.importance.get(from as usize).map_or(cost, |importance| importance * cost)
+        self.importance(from) * cost
     }
 
     /// Rank of a cost of `from`.

@@ -255,7 +255,7 @@ impl Walk<'_> {
                 let gives = Flow { what: What::Levels, count, budget, atlas: incoming.atlas, baked: incoming.baked };
                 let levels = options.levels.clone();
                 let rebuilds = options.normals == Normals::Rebuild;
-                let places = options.metric.0 == Metric::Memoryless && options.placement == Placement::HalfEdge;
+                let places = options.metric.metric == Metric::Memoryless && options.placement == Placement::HalfEdge;
                 match incoming.what {
                     What::Asset => {
                         let message = String::from("simplify takes a mesh, not the asset");

@@ -29,6 +29,7 @@
 pub mod diagnostic;
 pub mod inputs;
 pub mod length;
+mod metric;
 pub mod options;
 pub mod pipeline;
 pub mod reference;

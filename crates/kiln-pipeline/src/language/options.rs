@@ -5,6 +5,7 @@
 use super::diagnostic::{Code, Report};
 use super::dom::{Data, Node};
 use super::length::Length;
+pub use super::metric::{MetricChoice, Solid, ViewMetric, ViewSet, ViewUpdate};
 use super::setting::{
     Choice, FromTable, Key, Options, Setting, Shape, check_keys, choices, choose, mistyped, options, read_within,
 };
@@ -46,16 +47,14 @@ choices! {
         /// Volume, border and shape of the mesh as it is (Lindstrom and Turk): least error of all, at half the speed; free
         /// placement only.
         "memoryless" => Memoryless,
-        later {
-            /// Viewpoint entropy, each face its own region.
-            "viewpoint-entropy",
-            /// Viewpoint mutual information, each face its own region.
-            "viewpoint-mutual-information",
-            /// Generalised entropy of texture regions over viewpoints.
-            "region-entropy",
-            /// Generalised mutual information of texture regions over viewpoints.
-            "region-mutual-information",
-        }
+        /// Viewpoint entropy, each face its own region.
+        "viewpoint-entropy" => ViewpointEntropy,
+        /// Viewpoint mutual information, each face its own region.
+        "viewpoint-mutual-information" => ViewpointMutualInformation,
+        /// Generalised entropy of texture regions over viewpoints.
+        "region-entropy" => RegionEntropy,
+        /// Generalised mutual information of texture regions over viewpoints.
+        "region-mutual-information" => RegionMutualInformation,
     }
 }
 
@@ -242,8 +241,9 @@ options! {
 options! {
     /// Options of a simplify stage.
     pub struct SimplifyOptions {
-        /// What an edge costs.
-        "metric" => metric: MetricChoice, default(MetricChoice(Metric::Quadric));
+        /// What an edge costs; those that look at the model from views also as a table of kind and any of alpha, views, size, update and
+        /// prepass, and for regions sigma, k, min-size and side.
+        "metric" => metric: MetricChoice, default(MetricChoice::from(Metric::Quadric));
         /// Whether sliding texture coordinates, normals and colours have a price, beside the surface.
         "attributes" => attributes: bool, default(true);
         /// Where the kept point of a collapse stands.
@@ -571,36 +571,6 @@ pub(crate) fn rules_text(rules: &[SubmeshRule]) -> String {
     Value::List(rules.iter().map(Setting::write).collect()).to_toml()
 }
 
-/// A metric, written as its name or as a table `{ kind = NAME, ... }` with its parameters.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct MetricChoice(pub Metric);
-
-impl Setting for MetricChoice {
-    fn shape() -> Shape {
-        Shape::ChoiceOrTable(Metric::CHOICES)
-    }
-
-    fn read(node: &Node, report: &mut Report) -> Option<Self> {
-        let Some(table) = node.table() else { return Metric::read(node, report).map(MetricChoice) };
-        let Some(kind) = table.get("kind") else {
-            let help = Some(String::from("for example { kind = \"quadric\" }"));
-            report.add(Code::KeyMissing, &node.origin, "a metric needs the key `kind`", "`kind` is missing", help);
-            return None;
-        };
-        // The parameters of a metric that cannot be had yet are not worth a second message.
-        let metric = Metric::read(kind, report)?;
-        for entry in table.entries.iter().filter(|entry| entry.name != "kind") {
-            let message = format!("the metric `{}` has no parameter `{}`", metric.as_str(), entry.name);
-            report.add(Code::KeyUnknown, &entry.key, message, "no such key", None);
-        }
-        Some(MetricChoice(metric))
-    }
-
-    fn write(&self) -> Value {
-        self.0.write()
-    }
-}
-
 /// One map or a list of maps.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MapList(pub Vec<MapName>);
@@ -724,7 +694,7 @@ fn share(whose: &str, node: &Node, report: &mut Report) -> Option<f64> {
     None
 }
 
-fn key_of(name: &'static str, shape: Shape) -> Key {
+pub(super) fn key_of(name: &'static str, shape: Shape) -> Key {
     Key { name, shape, standard: super::setting::Standard::Derived(""), range: None, sentence: String::new() }
 }
 

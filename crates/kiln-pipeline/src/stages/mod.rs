@@ -5,6 +5,7 @@
 
 pub(crate) mod atlas;
 pub(crate) mod bake;
+mod debug;
 pub(crate) mod import;
 pub(crate) mod merge;
 pub(crate) mod pack;
@@ -19,9 +20,9 @@ use kiln_gpu::Gpu;
 use serde::Serialize;
 
 pub use atlas::XatlasWorker;
+pub use debug::{DebugPicture, DebugView};
 pub use kiln_lod::merge::Survey as MeshSurvey;
 pub use merge::{Repaired as MergeRepaired, Report as MergeSummary, preview as preview_merge};
-pub use simplify::{DebugPicture, TextureBorderView};
 
 use crate::language::options::Kind;
 use crate::language::value::Value as Setting;
@@ -51,6 +52,9 @@ pub enum StageError {
     /// A picture cannot be read.
     #[error("a picture cannot be read: {0}")]
     Picture(String),
+    /// The views of a metric cannot be used.
+    #[error("{0}")]
+    Views(#[from] kiln_lod::simplify::viewpoint::ViewpointError),
     /// No GPU where one was asked for.
     #[error("{0}")]
     Gpu(String),

@@ -1,15 +1,18 @@
 //! `simplify`: two actions, three under rules for submeshes. `collapse` records one collapse sequence to exhaustion, whatever the
 //! levels; `parts` finds what each collapse rests on; `levels` cuts them out of it. So a changed level replays the sequence and
 //! simplifies nothing anew. Where a cut by parts has to be continued, that is a part of `levels`, and its report says so. With
-//! `texture-border` the first reads the materials' pictures, too.
+//! `texture-border` or a metric of texture regions the first reads the materials' pictures, too.
 
 use std::sync::Arc;
 
-use kiln_asset::{BlobError, ImageId, LodSet, MaterialSet, Mesh, Raster};
+use kiln_asset::{ImageId, LodSet, MaterialSet, Mesh};
 use kiln_engine::{Action, ActionError, Context, Outputs, Source};
 use kiln_lod::normals;
 use kiln_lod::simplify::parts::{PartLevel, PartRule, matches, unmatched};
-use kiln_lod::simplify::texture_border::{TextureBorderReport, debug_picture};
+use kiln_lod::simplify::texture_border::TextureBorderReport;
+use kiln_lod::simplify::viewpoint::{
+    Cameras, Regions, RegionsReport, SegmentationOptions, Update, ViewKind, ViewOptions, collapse_by_views,
+};
 use kiln_lod::simplify::{
     BorderCost, Boundary, Budget, CollapseSequence, Conditions, Dependencies, LevelsOptions, MetricKind, Parts,
     Placement, SequenceReport, SimplifyOptions, SimplifyReport, TextureBorderOptions, TextureBorders, collapse_under,
@@ -63,15 +66,20 @@ pub(crate) fn collapse_action(
     action.label = label;
     action.params = params(&StageSettings::Simplify(options.clone()), &LEVEL_KEYS);
     action.foreign = vec![foreign::GLAM.into()];
-    if options.texture_border.is_some() {
+    let sees_pictures = options.texture_border.is_some() || options.metric.metric.sees_regions();
+    if sees_pictures {
         action = action.input("images", inputs.images.clone());
-        action.foreign.extend([foreign::BASISU, foreign::IMAGE, foreign::LIBM].map(Into::into));
-    } else {
+        action.foreign.extend([foreign::BASISU, foreign::IMAGE].map(Into::into));
+    }
+    if sees_pictures || options.metric.metric.has_views() {
+        action.foreign.push(foreign::LIBM.into());
+    }
+    if options.texture_border.is_none() {
         // What is not asked for leaves no trace in the fingerprint.
         action.params.retain(|(name, _)| name != "texture-border");
     }
     action.numeric_class = Some(foreign::NUMERIC_CLASS.into());
-    let reads_materials = options.texture_border.is_some() || !options.lock.0.is_empty();
+    let reads_materials = sees_pictures || !options.lock.0.is_empty();
     if reads_materials { action.input("materials", inputs.materials.clone()) } else { action }
 }
 
@@ -92,13 +100,15 @@ pub(crate) fn parts_action(id: String, label: String, inputs: &Inputs, sequence:
     action
 }
 
-/// The sequence's report, and the extension's.
+/// The sequence's report, and those of what it was made by.
 #[derive(Serialize)]
 struct CollapseReport<'a> {
     #[serde(flatten)]
     sequence: &'a SequenceReport,
     #[serde(skip_serializing_if = "Option::is_none")]
     texture_border: Option<TextureBorderReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    regions: Option<RegionsReport>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     warnings: Vec<String>,
 }
@@ -108,22 +118,89 @@ fn record(context: &Context<'_>, options: &options::SimplifyOptions) -> Result<O
     let Some(finest) = set.levels.first() else { return Err(no_level()) };
     let mesh = &finest.mesh;
     let (mut texture_border, mut warnings, mut found) = (None, Vec::new(), None);
-    if let Some(options) = &options.texture_border {
+    let (mut regions, mut seen) = (None, Regions::default());
+    if options.texture_border.is_some() || options.metric.metric.sees_regions() {
         let materials = load_materials(context, "materials")?;
         let encoded = load_images(context, &materials)?;
-        context.progress(0.0, "texture borders");
-        let borders = borders(mesh, &materials, &encoded, options).map_err(StageError::Picture)?;
-        let report = borders.report(mesh, &materials);
-        warnings.extend(doubts(&report));
-        texture_border = Some(report);
-        found = Some(borders);
+        if let Some(options) = &options.texture_border {
+            context.progress(0.0, "texture borders");
+            let borders = borders(mesh, &materials, &encoded, options).map_err(StageError::Picture)?;
+            let report = borders.report(mesh, &materials);
+            warnings.extend(doubts(&report));
+            texture_border = Some(report);
+            found = Some(borders);
+        }
+        if let Some((views, true)) = view_options(&options.metric).map(|v| (v, v.kind.sees_regions())) {
+            context.progress(0.0, "texture regions");
+            let (of_mesh, report) = texture_regions(mesh, &materials, &encoded, &views).map_err(StageError::Picture)?;
+            warnings.extend(region_doubts(&report, options.metric.metric));
+            (seen, regions) = (of_mesh, Some(report));
+        }
     }
     let locked = locked(context, options, mesh)?;
-    let conditions = Conditions { locked: &locked, borders: found.as_ref() };
+    let conditions = Conditions { locked: &locked, borders: found.as_ref(), ..Conditions::default() };
     let layout = set.layout.as_ref();
-    let sequence = collapse_under(mesh, &finest.quadrics, layout, &collapse_options(options), &conditions);
-    let report = CollapseReport { sequence: sequence.report(), texture_border, warnings };
+    let how = collapse_options(options);
+    let sequence = match view_options(&options.metric) {
+        Some(views) => {
+            context.progress(0.0, "views");
+            collapse_by_views(mesh, &finest.quadrics, layout, &how, &conditions, &views, &seen)
+                .map_err(StageError::Views)?
+        }
+        None => collapse_under(mesh, &finest.quadrics, layout, &how, &conditions),
+    };
+    let report = CollapseReport { sequence: sequence.report(), texture_border, regions, warnings };
     Ok(Outputs::new().with("sequence", sequence.to_blob()).report(json(&report)))
+}
+
+fn region_doubts(report: &RegionsReport, metric: options::Metric) -> Option<String> {
+    let name = metric.as_str();
+    report.pictures.is_empty().then(|| {
+        format!("{name}: no submesh has a base colour texture, so each material is one region and only outlines count")
+    })
+}
+
+/// What the views are asked; `None` for a metric without.
+pub(super) fn view_options(choice: &options::MetricChoice) -> Option<ViewOptions> {
+    let views = choice.views.as_ref()?;
+    Some(ViewOptions {
+        kind: match choice.metric {
+            options::Metric::ViewpointEntropy => ViewKind::PolygonEntropy,
+            options::Metric::ViewpointMutualInformation => ViewKind::PolygonMutualInformation,
+            options::Metric::RegionEntropy => ViewKind::RegionEntropy,
+            options::Metric::RegionMutualInformation => ViewKind::RegionMutualInformation,
+            options::Metric::Quadric | options::Metric::Memoryless => return None,
+        },
+        alpha: views.alpha,
+        cameras: match views.views {
+            options::ViewSet::Solid(options::Solid::Icosahedron) => Cameras::Icosahedron,
+            options::ViewSet::Solid(options::Solid::Dodecahedron) => Cameras::Dodecahedron,
+            options::ViewSet::Count(count) => Cameras::Fibonacci(count),
+        },
+        size: views.size,
+        update: match views.update {
+            options::ViewUpdate::Exact => Update::Exact,
+            options::ViewUpdate::Published => Update::Published,
+        },
+        segmentation: SegmentationOptions {
+            sigma: views.sigma,
+            k: views.k,
+            min_size: views.min_size,
+            side: views.side,
+        },
+        prepass: views.prepass,
+    })
+}
+
+/// The regions of a mesh's textures. `encoded`: the images of `materials`.
+pub(super) fn texture_regions(
+    mesh: &Mesh,
+    materials: &MaterialSet,
+    encoded: &[Arc<[u8]>],
+    views: &ViewOptions,
+) -> Result<(Regions, RegionsReport), String> {
+    let pictures = Pictures::new(encoded, materials.images.iter().map(|i| i.format).collect());
+    Regions::new(mesh, materials, &|image: ImageId| pictures.get(image), &views.segmentation)
 }
 
 fn doubts(report: &TextureBorderReport) -> Option<String> {
@@ -135,7 +212,7 @@ fn doubts(report: &TextureBorderReport) -> Option<String> {
     (report.affected == 0).then(|| "texture-border: no edge crosses a border, so it changes nothing".into())
 }
 
-fn borders(
+pub(super) fn borders(
     mesh: &Mesh,
     materials: &MaterialSet,
     encoded: &[Arc<[u8]>],
@@ -155,68 +232,6 @@ fn borders(
         side: options.side,
     };
     TextureBorders::new(mesh, materials, &|image: ImageId| pictures.get(image), &own)
-}
-
-/// A picture to look at: a texture with its borders and the edges that cross them.
-#[derive(Clone, Debug)]
-pub struct DebugPicture {
-    /// The texture's name and the map it was read as, fit for a file name.
-    pub name: String,
-    /// What it shows, with its counts.
-    pub caption: String,
-    /// The picture.
-    pub picture: Raster,
-}
-
-/// What a planned collapse with `texture-border` can show, from the inputs of its action.
-#[derive(Clone, Debug)]
-pub struct TextureBorderView {
-    /// Index of the action.
-    pub action: usize,
-    /// Id of the stage.
-    pub stage: String,
-    pub(crate) options: options::TextureBorder,
-}
-
-impl TextureBorderView {
-    /// The pictures, one for each texture and map. `mesh`: bytes of the action's input `in`; `materials` and `images` likewise.
-    ///
-    /// # Errors
-    /// The bytes are damaged.
-    pub fn pictures(
-        &self,
-        mesh: &[u8],
-        materials: &[u8],
-        images: &[Arc<[u8]>],
-    ) -> Result<Vec<DebugPicture>, StageError> {
-        let set = super::levels_of(mesh)?;
-        let finest = set.levels.first().ok_or(BlobError::Content("no level".into()))?;
-        let materials = MaterialSet::from_blob(materials)?;
-        let borders = borders(&finest.mesh, &materials, images, &self.options).map_err(StageError::Picture)?;
-        let report = borders.report(&finest.mesh, &materials);
-        let pictures = Pictures::new(images, materials.images.iter().map(|i| i.format).collect());
-        let show = |index: usize| {
-            let (map, counts) = (&borders.maps()[index], &report.pictures[index]);
-            let texture = pictures.get(map.image).map_err(StageError::Picture)?;
-            let segments = borders.segments(&finest.mesh, index);
-            let safe = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
-            Ok(DebugPicture {
-                name: format!("{index}-{}.{}", counts.name.chars().map(safe).collect::<String>(), counts.map),
-                caption: format!(
-                    "{} as {}: {} border texels of {} x {}, {} of {} edges in it cross one",
-                    counts.name,
-                    counts.map,
-                    counts.border_texels,
-                    counts.width,
-                    counts.height,
-                    counts.affected_segments,
-                    segments.len()
-                ),
-                picture: debug_picture(&texture, map, &segments),
-            })
-        };
-        (0..borders.maps().len()).map(show).collect()
-    }
 }
 
 #[derive(Serialize)]
@@ -272,10 +287,9 @@ fn collapse_options(options: &options::SimplifyOptions) -> SimplifyOptions {
         BoundaryRule::Last => Boundary::Last,
         BoundaryRule::Lock => Boundary::Lock,
     };
-    let metric = match options.metric.0 {
-        options::Metric::Quadric => MetricKind::Quadric,
-        options::Metric::Memoryless => MetricKind::Memoryless,
-    };
+    // Views take quadrics for their pre-pass and between equals, and so does what goes on beyond their log.
+    let metric =
+        if options.metric.metric == options::Metric::Memoryless { MetricKind::Memoryless } else { MetricKind::Quadric };
     SimplifyOptions { metric, boundary, attributes: options.attributes, ..SimplifyOptions::default() }
 }
 

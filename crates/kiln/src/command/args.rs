@@ -100,7 +100,8 @@ pub(crate) struct BuildArgs {
     /// Go on with other assets when one fails
     #[arg(long)]
     pub(crate) keep_going: bool,
-    /// Draw textures with their borders, and the edges that cross them, into DIR, for stages with `texture-border`
+    /// Draw into DIR what stages see of textures: borders and the edges that cross them for `texture-border`, regions and views for
+    /// metrics that look from views
     #[arg(long, value_name = "DIR")]
     pub(crate) debug_images: Option<PathBuf>,
     /// `warnings`: exit 1 when anything was repaired or replaced

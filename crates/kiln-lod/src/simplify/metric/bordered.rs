@@ -46,6 +46,10 @@ impl<M: Metric> Metric for Bordered<'_, M> {
         self.surcharge.cost(self.mesh, f64::from(base), true, work.star(from, to)) as f32
     }
 
+    fn surcharge(&self, work: &Working<'_>, from: u32, to: u32) -> f64 {
+        if self.near[from as usize] { self.surcharge.alone(self.mesh, work.star(from, to)) } else { 0.0 }
+    }
+
     fn offers(&self, work: &Working<'_>, from: u32, to: u32) -> bool {
         self.base.offers(work, from, to)
     }

@@ -47,6 +47,12 @@ pub(super) trait Metric {
         }
     }
 
+    /// What a texture border adds to a cost in another unit (that of views): unitless, the extension's weight by a length over the
+    /// diagonal, or by a share of the mesh's area.
+    fn surcharge(&self, _work: &Working<'_>, _from: u32, _to: u32) -> f64 {
+        0.0
+    }
+
     /// Whether `from` is the end that offers the edge; where points that stay move, both ends would offer the same.
     fn offers(&self, _work: &Working<'_>, _from: u32, _to: u32) -> bool {
         true

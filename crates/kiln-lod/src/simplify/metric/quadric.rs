@@ -186,6 +186,16 @@ pub(crate) fn initial(
     quadrics
 }
 
+/// `[point_count]`: where each point lies.
+pub(in crate::simplify) fn places(mesh: &Mesh) -> Vec<DVec3> {
+    let mut positions = vec![DVec3::ZERO; mesh.point_count()];
+    // A point's place is that of its lowest wedge; wedges of joined submeshes may lie a weld distance apart.
+    for (v, p) in mesh.points.iter().enumerate().rev() {
+        positions[p.index()] = mesh.positions[v].as_dvec3();
+    }
+    positions
+}
+
 /// The error form of each point, as it grows along a sequence.
 pub(in crate::simplify) struct Forms {
     positions: Vec<DVec3>,
@@ -204,11 +214,7 @@ impl Forms {
         carried: &[QuadricCoefficients],
         options: &SimplifyOptions,
     ) -> Forms {
-        let mut positions = vec![DVec3::ZERO; mesh.point_count()];
-        // A point's place is that of its lowest wedge; wedges of joined submeshes may lie a weld distance apart.
-        for (v, p) in mesh.points.iter().enumerate().rev() {
-            positions[p.index()] = mesh.positions[v].as_dvec3();
-        }
+        let positions = places(mesh);
         let seam = options.line_weight * if options.attributes { PRICED_SEAM } else { 1.0 };
         let weights = LineWeights { border: options.border_weight, boundary: options.line_weight, seam };
         let quadrics = initial(topology, &positions, carried, weights);

@@ -51,6 +51,8 @@ use glam::{DVec2, DVec3, Vec2};
 use kiln_asset::{AlphaMode, ImageId, MapRole, MaterialSet, Mesh, Raster, SubmeshId, Wrap};
 use serde::{Deserialize, Serialize};
 
+use super::plane::Plane;
+
 pub use canny::BorderImage;
 pub use picture::debug_picture;
 
@@ -211,7 +213,7 @@ impl TextureBorders {
                 let map = match out.maps.iter().position(known) {
                     Some(map) => map,
                     None => {
-                        let plane = canny::Plane::of(&*decode(image)?, luma(*role), alpha, options.side);
+                        let plane = Plane::of(&*decode(image)?, luma(*role), alpha, options.side);
                         let borders = canny::detect(&plane, &thresholds, wrap);
                         out.maps.push(MapBorders { image, role: *role, wrap, alpha, borders });
                         out.maps.len() - 1
@@ -322,6 +324,8 @@ pub(super) struct Surcharge<'a> {
     share: f64,
     /// Half the weight over the square diagonal: 1 / square object unit.
     moved: f64,
+    /// What makes the root of a base cost a length over the diagonal.
+    length: f64,
 }
 
 impl<'a> Surcharge<'a> {
@@ -333,7 +337,7 @@ impl<'a> Surcharge<'a> {
         let length = diagonal * (mesh.point_count() as f64 / area).sqrt();
         let finite = |v: f64| if v.is_finite() { v } else { 0.0 };
         let share = finite(borders.weight / area / length);
-        Surcharge { borders, share, moved: finite(MOVED * borders.weight / (diagonal * diagonal)) }
+        Surcharge { borders, share, moved: finite(MOVED * borders.weight / (diagonal * diagonal)), length }
     }
 
     /// Whether an edge at a point with these faces crosses a border.
@@ -355,16 +359,29 @@ impl<'a> Surcharge<'a> {
         if !near {
             return base;
         }
-        let surcharge = match self.borders.cost {
-            BorderCost::Area => self.share * self.area_on_edge(mesh, star),
-            BorderCost::Shift => self.moved * self.shift(mesh, star),
-        };
+        let surcharge = self.root(mesh, star);
         if surcharge <= 0.0 {
             return base;
         }
         // (c_e + share)^2 over the unit's square: as good an order as c_e + share, and edges that cross nothing keep their rank's bits.
         let root = base.max(0.0).sqrt() + surcharge;
         root * root
+    }
+
+    /// The surcharge in the unit of the root of a base cost.
+    #[inline]
+    fn root(&self, mesh: &Mesh, star: impl Iterator<Item = StarFace> + Clone) -> f64 {
+        match self.borders.cost {
+            BorderCost::Area => self.share * self.area_on_edge(mesh, star),
+            BorderCost::Shift => self.moved * self.shift(mesh, star),
+        }
+    }
+
+    /// The surcharge of an edge near a border on its own: for [`BorderCost::Area`] the weight times the share of the mesh's area on
+    /// the edge, as published. Unitless.
+    pub(super) fn alone(&self, mesh: &Mesh, star: impl Iterator<Item = StarFace> + Clone) -> f64 {
+        let sum = self.length * self.root(mesh, star);
+        if sum.is_finite() { sum } else { 0.0 }
     }
 
     /// Area of the faces on the edge if it crosses a border, else 0; square object units.

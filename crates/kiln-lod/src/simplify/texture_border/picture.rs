@@ -5,7 +5,7 @@ use glam::Vec2;
 use kiln_asset::Raster;
 
 use super::MapBorders;
-use super::segment::wrapped;
+use crate::simplify::plane::wrapped;
 
 /// Least longest side, pixels: borders found in a smaller picture are drawn larger.
 const SIDE: u32 = 1024;

@@ -16,26 +16,13 @@ use glam::{DVec2, Vec2};
 use kiln_asset::Wrap;
 
 use super::canny::BorderImage;
+use crate::simplify::plane::wrapped;
 
 /// Units in a texel.
 const UNITS: i64 = 256;
 
 /// Most pictures that a segment is followed through.
 const REACH: f64 = 4.0;
-
-/// The texel in `[0, size)` that a texel index anywhere means.
-pub(super) fn wrapped(index: i64, size: usize, wrap: Wrap) -> usize {
-    let size = size as i64;
-    let inside = match wrap {
-        Wrap::Repeat => index.rem_euclid(size),
-        Wrap::ClampToEdge => index.clamp(0, size - 1),
-        Wrap::MirroredRepeat => {
-            let twice = index.rem_euclid(2 * size);
-            twice.min(2 * size - 1 - twice)
-        }
-    };
-    inside as usize
-}
 
 /// Whether the segment between two UVs (v down) meets a texel of a border.
 pub(super) fn crosses(image: &BorderImage, wrap: [Wrap; 2], a: Vec2, b: Vec2) -> bool {

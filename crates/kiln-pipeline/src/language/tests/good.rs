@@ -411,3 +411,32 @@ fn a_texture_border_takes_one_map_or_several_and_is_written_out_in_full() {
     );
     assert!(!good_text(SMALL, &[]).to_resolved_toml().contains("texture-border"));
 }
+
+#[test]
+fn a_metric_of_views_takes_its_name_or_a_table_and_is_written_out_in_full() {
+    let with = |metric: &str| {
+        let text = SMALL.replace("kind = \"simplify\"\n", &format!("kind = \"simplify\"\nmetric = {metric}\n"));
+        let pipeline = good_text(&text, &[]);
+        let StageSettings::Simplify(options) = &pipeline.stages[1].settings else { panic!() };
+        (options.metric.clone(), pipeline.to_resolved_toml())
+    };
+    let (standard, resolved) = with("\"region-entropy\"");
+    assert_eq!(standard, MetricChoice { metric: Metric::RegionEntropy, views: Some(ViewMetric::default()) });
+    let full = "metric = { kind = \"region-entropy\", alpha = 1.0, views = \"dodecahedron\", size = 256, \
+                update = \"exact\", sigma = 0.8, k = 300.0, min-size = 50, side = 512 }";
+    assert!(resolved.contains(full), "{resolved}");
+    assert_eq!(with("{ kind = \"region-entropy\" }").0, standard);
+    let (faces, resolved) =
+        with("{ kind = \"viewpoint-mutual-information\", views = 24, prepass = 0.25, alpha = 0.75 }");
+    let views = faces.views.expect("a metric of views");
+    assert_eq!((views.views, views.prepass, views.alpha), (ViewSet::Count(24), Some(0.25), 0.75));
+    assert!(resolved.contains("views = 24, size = 256, update = \"exact\", prepass = 0.25 }"), "{resolved}");
+    assert_eq!(with("\"memoryless\"\nplacement = \"free\"").0, MetricChoice::from(Metric::Memoryless));
+    assert_eq!(
+        with("{ kind = \"region-entropy\", views = \"icosahedron\", update = \"published\" }")
+            .0
+            .views
+            .map(|v| (v.views.count(), v.update)),
+        Some((12, ViewUpdate::Published))
+    );
+}

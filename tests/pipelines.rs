@@ -132,9 +132,16 @@ fn every_key_of_a_metric_of_views_makes_its_collapse_run_again_and_nothing_befor
     let base = "kind = \"region-entropy\", views = 4, size = 32";
     build(&format!("{{ {base} }}"));
     assert_eq!(build(&format!("{{ {base}, alpha = 1.0 }}")), [""; 0], "a default that is named changes nothing");
-    for key in
-        ["alpha = 1.25", "update = \"published\"", "prepass = 0.9", "sigma = 1", "k = 200", "min-size = 9", "side = 64"]
-    {
+    for key in [
+        "alpha = 1.25",
+        "update = \"published\"",
+        "prepass = 0.9",
+        "sigma = 1",
+        "k = 200",
+        "min-size = 9",
+        "reach = 0",
+        "side = 64",
+    ] {
         let ran = build(&format!("{{ {base}, {key} }}"));
         assert!(ran.iter().any(|stage| stage == "lods, collapse"), "{key}: {ran:?}");
         assert!(!ran.iter().any(|stage| stage.starts_with("near") || stage == "import"), "{key}: {ran:?}");

@@ -133,14 +133,14 @@ fn run(mut models: Vec<PathBuf>, out: &Path, alpha_most: usize) -> Result<(), St
 }
 
 fn head(page: &mut Page) {
-    let SegmentationOptions { sigma, k, min_size, side } = SegmentationOptions::default();
+    let SegmentationOptions { sigma, k, min_size, reach, side } = SegmentationOptions::default();
     page.line("# Image error of simplification by views");
     page.line("");
     page.line(&stamp("cargo run --release --locked -p kiln-bench --bin viewpoint_images"));
     page.line("");
     page.line(&format!(
         "RMSE over all pixels of {VIEWS} views of {SIZE} x {SIZE} that no metric uses, base colour alone, codes 0 to 255. The metrics look \
-         from 20 views of 256 x 256, alpha 1, half-edge placement; regions by sigma {sigma}, k {k}, least size {min_size}, side {side}."
+         from 20 views of 256 x 256, alpha 1, half-edge placement; regions by sigma {sigma}, k {k}, least size {min_size}, reach {reach}, side {side}."
     ));
     page.line("");
     page.line("## RMSE");

@@ -65,13 +65,15 @@ options! {
         "k" => k: f64, default(300.0), within 0..=1_000_000;
         /// Fewest texels of a region.
         "min-size" => min_size: u32, default(50), within 1..=1_000_000;
+        /// Texels of its own that a region has on all sides of one of them; what is thinner goes to its neighbours.
+        "reach" => reach: u32, default(2), within 0..=64;
         /// Longest side in texels of a picture when it falls into regions; larger ones are halved first.
         "side" => side: u32, default(512), within 16..=4096;
     }
 }
 
 /// Parameters that only metrics of texture regions have.
-const REGION_KEYS: [&str; 4] = ["sigma", "k", "min-size", "side"];
+const REGION_KEYS: [&str; 5] = ["sigma", "k", "min-size", "reach", "side"];
 
 /// Most pixels of all views together: some gigabytes of fragments.
 const MOST_PIXELS: u64 = 1 << 26;

@@ -242,7 +242,7 @@ options! {
     /// Options of a simplify stage.
     pub struct SimplifyOptions {
         /// What an edge costs; those that look at the model from views also as a table of kind and any of alpha, views, size, update and
-        /// prepass, and for regions sigma, k, min-size and side.
+        /// prepass, and for regions sigma, k, min-size, reach and side.
         "metric" => metric: MetricChoice, default(MetricChoice::from(Metric::Quadric));
         /// Whether sliding texture coordinates, normals and colours have a price, beside the surface.
         "attributes" => attributes: bool, default(true);

@@ -186,6 +186,7 @@ pub(super) fn view_options(choice: &options::MetricChoice) -> Option<ViewOptions
             sigma: views.sigma,
             k: views.k,
             min_size: views.min_size,
+            reach: views.reach,
             side: views.side,
         },
         prepass: views.prepass,

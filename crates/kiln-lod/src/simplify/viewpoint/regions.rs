@@ -283,7 +283,7 @@ mod tests {
         MaterialSet { materials, textures: textures.iter().map(texture).collect(), images: (0..4).map(info).collect() }
     }
 
-    const SHARP: SegmentationOptions = SegmentationOptions { sigma: 0.0, k: 300.0, min_size: 1, side: 512 };
+    const SHARP: SegmentationOptions = SegmentationOptions { sigma: 0.0, k: 300.0, min_size: 1, reach: 0, side: 512 };
 
     fn regions(mesh: &Mesh, materials: &MaterialSet, pictures: &[Raster]) -> (Regions, RegionsReport) {
         let decode = |image: ImageId| {

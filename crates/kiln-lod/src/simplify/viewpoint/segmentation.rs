@@ -11,6 +11,7 @@
 //!     join the areas at its ends if weight <= min(inner(A) + k / |A|, inner(B) + k / |B|)
 //!     inner: the heaviest edge that joined an area; |A|: its texels
 //! for each edge again: join if one side has fewer than `min_size` texels
+//! areas nowhere wider than `reach` allows fall apart; for each edge again: join unless both sides are wide
 //! labels  <- 0, 1, ... in the order of the areas' first texels
 //! ```
 //! A picture whose sampler repeats goes on at its other side, so an area may run across it; one that is clamped or mirrored ends.
@@ -18,9 +19,11 @@
 //! puts in order in linear time. Areas are trees in flat arrays. A texel costs 24 bytes of working memory beside its planes.
 //!
 //! **Departures.** The paper segments the three channels one by one and intersects the areas; here, as in its authors' program, the
-//! distance in RGB is taken once. Larger pictures are halved first ([`SegmentationOptions::side`]), which the paper does not need.
+//! distance in RGB is taken once. The last step is ours: a
+//! blurred border is a ramp steeper than what goes on beside it, so the paper's areas have rings of it around them, half of all areas in
+//! painted textures. Larger pictures are halved first ([`SegmentationOptions::side`]), which the paper does not need.
 //!
-//! **Limits.** Grain does not vanish by `k` alone: an area of more than k / grain texels takes no texel in that differs by more than it does
+//! **Limits.** Painted lines thinner than `2 reach + 1` texels go with the rings. Grain does not vanish by `k` alone: an area of more than k / grain texels takes no texel in that differs by more than it does
 //! inside; the Gaussian and `min_size` see to that. Distances of sRGB codes are not what eyes see: two dark blues are as far apart as two greens. `k` depends on the number
 //! of texels in a thing, so on `side`.
 //!
@@ -41,13 +44,16 @@ pub struct SegmentationOptions {
     pub k: f64,
     /// Fewest texels of an area.
     pub min_size: u32,
+    /// How many texels of its own an area has on all sides of one of them at least; areas that are thinner everywhere, rings along
+    /// blurred borders above all, are shared out among their neighbours. 0 keeps them, as published.
+    pub reach: u32,
     /// Longest side of a picture when it is segmented, texels; larger ones are halved first.
     pub side: u32,
 }
 
 impl Default for SegmentationOptions {
     fn default() -> Self {
-        SegmentationOptions { sigma: 0.8, k: 300.0, min_size: 50, side: 512 }
+        SegmentationOptions { sigma: 0.8, k: 300.0, min_size: 50, reach: 2, side: 512 }
     }
 }
 
@@ -102,8 +108,59 @@ pub fn segment(picture: &Raster, alpha: bool, wrap: [Wrap; 2], options: &Segment
             forest.join(a, b, 0.0);
         }
     }
+    if options.reach > 0 {
+        forest = without_thin(forest, &grid, &order, options.reach);
+    }
     let (labels, count) = forest.labels();
     Segmentation { width: grid.width as u32, height: grid.height as u32, labels, count }
+}
+
+/// Areas that nowhere hold a square of `2 * reach + 1` texels fall apart, and each of their texels goes to the wide area that it reaches
+/// along the lightest edges (a minimum spanning forest from the wide ones). Where no area is wide, all stay.
+fn without_thin(mut forest: Forest, grid: &Grid, order: &[u32], reach: u32) -> Forest {
+    let count = grid.width * grid.height;
+    let area: Vec<u32> = (0..count as u32).map(|texel| forest.root(texel)).collect();
+    // `[texel_count]`, at roots.
+    let mut is_wide = vec![false; count];
+    for (root, _) in area.iter().zip(inner(&area, grid, reach)).filter(|(_, is_inner)| *is_inner) {
+        is_wide[*root as usize] = true;
+    }
+    if !is_wide.contains(&true) {
+        return forest;
+    }
+    let mut out = Forest::new(count, forest.k);
+    for (texel, root) in area.iter().enumerate().filter(|(_, root)| is_wide[**root as usize]) {
+        out.parent[texel] = *root;
+        out.size[*root as usize] = forest.size[*root as usize];
+    }
+    for edge in order {
+        let [a, b] = grid.ends(*edge).map(|texel| out.root(texel));
+        let wide = [a, b].map(|root| is_wide[root as usize]);
+        if a != b && wide != [true; 2] {
+            out.join(a, b, 0.0);
+            let root = out.root(a);
+            is_wide[root as usize] = wide.contains(&true);
+        }
+    }
+    out
+}
+
+/// `[texel_count]`: whether all texels within `reach` in x and y are of the same area; beyond the picture's end all are.
+fn inner(area: &[u32], grid: &Grid, reach: u32) -> Vec<bool> {
+    let mut inner = vec![true; area.len()];
+    let mut before = inner.clone();
+    for _ in 0..reach.min(grid.width.max(grid.height) as u32) {
+        inner.par_chunks_mut(grid.width).enumerate().for_each(|(y, row)| {
+            for (x, inner) in row.iter_mut().enumerate() {
+                let own = area[y * grid.width + x];
+                let mut around = STEPS.iter().flat_map(|[i, j]| [[*i, *j], [-i, -j]]);
+                *inner &=
+                    around.all(|step| grid.beside(x, y, step).is_none_or(|there| area[there] == own && before[there]));
+            }
+        });
+        before.copy_from_slice(&inner);
+    }
+    inner
 }
 
 /// The texels and who lies beside whom. An edge is 4 * texel + step.
@@ -233,7 +290,7 @@ mod tests {
 
     const CLAMP: [Wrap; 2] = [Wrap::ClampToEdge; 2];
     const REPEAT: [Wrap; 2] = [Wrap::Repeat; 2];
-    const SHARP: SegmentationOptions = SegmentationOptions { sigma: 0.0, k: 300.0, min_size: 1, side: 4096 };
+    const SHARP: SegmentationOptions = SegmentationOptions { sigma: 0.0, k: 300.0, min_size: 1, reach: 0, side: 4096 };
 
     fn picture(width: u32, height: u32, colour: impl Fn(u32, u32) -> [u8; 3]) -> Raster {
         let texel = |i: u32| {
@@ -313,6 +370,28 @@ mod tests {
     }
 
     const SHARP_BUT_LARGE: SegmentationOptions = SegmentationOptions { min_size: 50, ..SHARP };
+
+    #[test]
+    fn a_blurred_border_makes_no_area_of_its_own() {
+        // A disc whose border is a ramp of four texels.
+        let disc = picture(96, 96, |x, y| {
+            let distance = (f64::from(x) - 48.0).hypot(f64::from(y) - 48.0);
+            [(40.0 + 180.0 * ((distance - 24.0) / 4.0).clamp(0.0, 1.0)) as u8; 3]
+        });
+        let with = |reach| segment(&disc, false, CLAMP, &SegmentationOptions { k: 20.0, min_size: 9, reach, ..SHARP });
+        assert!(with(0).count > 2, "{}", with(0).count);
+        let found = with(2);
+        assert_eq!(found.count, 2);
+        for (texel, label) in found.labels.iter().enumerate() {
+            let distance = (texel as f64 % 96.0 - 48.0).hypot((texel / 96) as f64 - 48.0);
+            assert!((23.0..29.0).contains(&distance) || *label == u32::from(distance < 26.0), "{distance}");
+        }
+        // What is thin everywhere stays, and a reach beyond the picture takes a picture of one area for what it is.
+        let stripes = picture(40, 40, |x, _| [if x / 2 % 2 == 0 { 0 } else { 200 }; 3]);
+        let with = |picture, reach| segment(picture, false, CLAMP, &SegmentationOptions { reach, ..SHARP }).count;
+        assert_eq!((with(&stripes, 0), with(&stripes, 2)), (20, 20));
+        assert_eq!(with(&picture(5, 3, |_, _| [9; 3]), u32::MAX), 1);
+    }
 
     #[test]
     fn an_area_runs_across_the_end_of_a_picture_that_repeats() {

@@ -423,7 +423,7 @@ fn a_metric_of_views_takes_its_name_or_a_table_and_is_written_out_in_full() {
     let (standard, resolved) = with("\"region-entropy\"");
     assert_eq!(standard, MetricChoice { metric: Metric::RegionEntropy, views: Some(ViewMetric::default()) });
     let full = "metric = { kind = \"region-entropy\", alpha = 1.0, views = \"dodecahedron\", size = 256, \
-                update = \"exact\", sigma = 0.8, k = 300.0, min-size = 50, side = 512 }";
+                update = \"exact\", sigma = 0.8, k = 300.0, min-size = 50, reach = 2, side = 512 }";
     assert!(resolved.contains(full), "{resolved}");
     assert_eq!(with("{ kind = \"region-entropy\" }").0, standard);
     let (faces, resolved) =

@@ -29,8 +29,22 @@ pub const MIRRORED_VERTEX: Shader = Shader {
     twin: "crates/kiln-bake/src/transfer/mirrored_vertex.rs",
 };
 
+/// Views' second pass: what views lose by candidate collapses.
+pub const FORMULA: Shader = Shader {
+    name: "formula",
+    source: include_str!("../formula.wgsl"),
+    twin: "crates/kiln-lod/src/simplify/viewpoint/formula.rs",
+};
+
+/// Views' first pass: how many pixels each region wins or loses by candidate collapses.
+pub const PRICE: Shader = Shader {
+    name: "price",
+    source: include_str!("../price.wgsl"),
+    twin: "crates/kiln-lod/src/simplify/viewpoint/price.rs",
+};
+
 /// All passes, by name.
-pub const ALL: &[Shader] = &[MIRRORED_VERTEX];
+pub const ALL: &[Shader] = &[FORMULA, MIRRORED_VERTEX, PRICE];
 
 #[cfg(test)]
 mod tests {

@@ -3,6 +3,7 @@
 //! ```text
 //! Gpu::open(allow_software)   the best adapter, by kind then by enumeration order; a device with all the limits it has
 //! gpu.storage(..), gpu.target(..)   buffers and pictures, refused with both numbers where they are larger than a limit
+//! gpu.compute_pipeline(..), gpu.output(..), gpu.read(..)   compute passes and what they wrote
 //! gpu.check(|| work)          runs work and turns whatever the driver complains about into an error
 //! gpu.read_picture(..)        texels back, after the work is done
 //! ```
@@ -12,6 +13,7 @@
 //!
 //! On Linux only Vulkan is asked: OpenGL fallbacks render to fewer formats and hide that Vulkan is missing.
 
+mod compute;
 mod transfer;
 
 use std::sync::{Arc, Mutex, PoisonError};

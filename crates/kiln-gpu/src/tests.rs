@@ -69,3 +69,29 @@ fn a_shader_that_does_not_parse_is_an_error_and_the_device_lives_on() {
     assert!(matches!(error, GpuError::Refused { ref what, .. } if what == "a broken shader"), "{error}");
     assert!(gpu.storage("values", &[1u32, 2, 3]).is_ok());
 }
+
+#[test]
+fn what_a_compute_pass_writes_comes_back() {
+    let Some(gpu) = gpu() else { return };
+    let source = "
+        @group(0) @binding(0) var<storage, read> values: array<u32>;
+        @group(0) @binding(1) var<storage, read_write> squares: array<u32>;
+        @compute @workgroup_size(4) fn square(@builtin(global_invocation_id) id: vec3<u32>) {
+            squares[id.x] = values[id.x] * values[id.x];
+        }";
+    let pipeline = gpu.compute_pipeline(source, "square").expect("pipeline");
+    let values = gpu.storage("values", &[3u32, 5, 7, 65_535, 9, 0, 1, 2]).expect("values");
+    let squares = gpu.output("squares", 32).expect("output");
+    let bindings = gpu.bindings("square", &pipeline, &[&values, &squares]).expect("bindings");
+    let mut encoder = gpu.device().create_command_encoder(&Default::default());
+    {
+        let mut pass = encoder.begin_compute_pass(&Default::default());
+        pass.set_pipeline(&pipeline);
+        pass.set_bind_group(0, &bindings, &[]);
+        pass.dispatch_workgroups(2, 1, 1);
+    }
+    gpu.queue().submit([encoder.finish()]);
+    assert_eq!(gpu.read::<[u32; 2]>(&squares, 24).expect("squares"), [[9, 25], [49, 4_294_836_225], [81, 0]]);
+    assert!(gpu.read::<u32>(&squares, 64).is_err(), "more than it holds");
+    assert!(matches!(gpu.output("all", u64::MAX - 7), Err(GpuError::TooLarge { .. })));
+}

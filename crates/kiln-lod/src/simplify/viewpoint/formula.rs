@@ -36,9 +36,9 @@ pub struct Delta {
 
 /// A measure with its tables.
 pub(super) struct Formula {
-    measure: Measure,
+    pub(super) measure: Measure,
     /// Alpha minus 1.
-    order: f64,
+    pub(super) order: f64,
     /// 1 / pixels of a view.
     share: f64,
     /// 1 / pixels of all views.

@@ -13,6 +13,7 @@
 //!            that change are the candidate's deltas                                                       (price)
 //! order   <- the cheapest first, looked at again when it comes to the front                               (order)
 //! ```
+//! A graphics device may price the candidates that a sequence starts with (gpu): same pixel counts, same sequence.
 //! Regions come from [`segmentation`] by way of [`regions`], views from [`cameras`]; [`collapse_by_views`] puts a coarse pre-pass by
 //! quadrics in front where one is asked for, and [`pictures`] shows people what the metric sees.
 //!
@@ -34,6 +35,7 @@
 
 pub mod cameras;
 mod formula;
+mod gpu;
 mod layers;
 pub mod options;
 mod order;
@@ -47,7 +49,10 @@ pub mod segmentation;
 mod study;
 mod twin;
 
+use std::sync::Mutex;
+
 use kiln_asset::{Mesh, UvLayout};
+use kiln_gpu::{Gpu, GpuError};
 
 use super::metric::bordered::Bordered;
 use super::metric::quadric::{Forms, QuadricMetric, QuadricRest};
@@ -61,11 +66,12 @@ use screen::Screens;
 
 pub use cameras::{Cameras, View, views};
 pub use formula::{Delta, Measure};
+pub use gpu::{Device, DevicePrice};
 pub use options::{ViewKind, ViewOptions};
 pub use prepass::collapse_by_views;
 pub use regions::{RegionMap, Regions, RegionsReport};
 pub use segmentation::SegmentationOptions;
-pub use study::Study;
+pub use study::{Stars, Study};
 
 /// Width and height of a view by default, pixels.
 pub const SIZE: u32 = 256;
@@ -142,6 +148,9 @@ pub struct ViewCondition<'a> {
     screens: Screens<'a>,
     formula: Formula,
     options: ViewpointOptions,
+    /// What the first prices come from, if not the CPU.
+    gpu: Option<&'a Gpu>,
+    trouble: Mutex<Option<GpuError>>,
 }
 
 impl<'a> ViewCondition<'a> {
@@ -174,7 +183,7 @@ impl<'a> ViewCondition<'a> {
             return Err(ViewpointError::Fragments(fragments));
         }
         let formula = Formula::new(options.measure, options.alpha, screens.pixels(), views.len());
-        Ok(ViewCondition { screens, formula, options })
+        Ok(ViewCondition { screens, formula, options, gpu: None, trouble: Mutex::new(None) })
     }
 }
 

@@ -22,6 +22,7 @@ use kiln_asset::Mesh;
 use rayon::prelude::*;
 
 use super::formula::Delta;
+use super::gpu::Device;
 use super::price::{Limit, Scratch, Star, price};
 use super::scene::Scene;
 use super::{Update, ViewCondition};
@@ -115,6 +116,9 @@ pub(super) struct Order<'a, M> {
     work: Working<'a>,
     metric: M,
     scene: Scene<'a>,
+    condition: &'a ViewCondition<'a>,
+    /// What prices batches until the first collapse, if not the CPU.
+    device: Option<Device<'a>>,
     update: Update,
     last: bool,
     floor: f64,
@@ -173,6 +177,8 @@ impl<'a, M: Metric + Sync> Order<'a, M> {
         Order {
             tie: TIE / scene.screens.pixels() as f64,
             dearest: f64::INFINITY,
+            device: condition.gpu.and_then(|gpu| condition.tried(Device::new(gpu, &scene))),
+            condition,
             scene,
             work,
             metric,
@@ -206,6 +212,7 @@ impl<'a, M: Metric + Sync> Order<'a, M> {
             self.list.extend(start as u32..(start + BATCH).min(points) as u32);
             self.price_list();
         }
+        self.device = None;
         self.dearest = if self.update == Update::Exact { 0.0 } else { f64::INFINITY };
         while self.faces_left > floor
             && let Some(Reverse((key, from))) = self.heap.pop()
@@ -488,14 +495,18 @@ impl<'a, M: Metric + Sync> Order<'a, M> {
 
     /// Prices jobs in parallel and puts their points into the queue, in order.
     fn finish_jobs(&mut self, jobs: &mut [Job]) {
+        let priced = (self.device.as_ref())
+            .and_then(|device| self.condition.tried(device.price(jobs.iter().map(|job| &job.star))));
         let Order { work, scene, scratch, update, .. } = &*self;
         let (faces, exact, all) = (self.size[0], *update == Update::Exact, self.limit());
-        jobs.par_iter_mut().for_each(|job| {
+        jobs.par_iter_mut().enumerate().for_each(|(j, job)| {
             let mut memory = borrowed(scratch, scene, faces);
-            let cost = limit_of(work, job.star.from, all);
-            let limit = Limit { formula: scene.formula, histogram: &scene.histogram, cost };
-            let limited = (exact && scene.formula.adds_up()).then_some(&limit);
-            price(scene.screens, &scene.layers, &job.star, limited, &mut memory);
+            if !priced.as_ref().is_some_and(|priced| priced.fill(j, job.star.to.len(), &mut memory)) {
+                let cost = limit_of(work, job.star.from, all);
+                let limit = Limit { formula: scene.formula, histogram: &scene.histogram, cost };
+                let limited = (exact && scene.formula.adds_up()).then_some(&limit);
+                price(scene.screens, &scene.layers, &job.star, limited, &mut memory);
+            }
             let Job { star, ties, record, partial } = job;
             if !*partial {
                 record.targets.clear();

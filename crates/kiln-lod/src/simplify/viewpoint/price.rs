@@ -272,7 +272,7 @@ pub(super) fn price(
 }
 
 /// A step through so many views that meets them all and seldom goes to a neighbour.
-fn stride(views: usize) -> usize {
+pub(super) fn stride(views: usize) -> usize {
     let shares_none = |step: &usize| {
         let (mut a, mut b) = (*step, views);
         while b > 0 {

@@ -77,14 +77,14 @@ pub(super) struct Screens<'a> {
     /// Width and height of all screens, pixels.
     pub(super) size: u32,
     /// `[point_count * views]`: x, y, depth; the views of a point lie together.
-    places: Vec<[i32; 3]>,
+    pub(super) places: Vec<[i32; 3]>,
     /// `[views]`: whether the rays of a view meet.
-    meets: Vec<bool>,
+    pub(super) meets: Vec<bool>,
     /// `[vertex_count]`: u and v; empty where no submesh has a picture.
-    texels: Vec<[i32; 2]>,
+    pub(super) texels: Vec<[i32; 2]>,
     /// `[face_count]`: submesh; empty where every face is a region.
-    submesh: Vec<u32>,
-    regions: Option<&'a Regions>,
+    pub(super) submesh: Vec<u32>,
+    pub(super) regions: Option<&'a Regions>,
     /// Number of regions, the background among them.
     pub(super) region_count: usize,
 }

@@ -12,6 +12,8 @@ use super::*;
 use crate::fixtures;
 use crate::simplify::{Conditions, collapse_under};
 
+mod gpu;
+
 /// Looks along -Z at the square from (0, 0) to (1, 1), `size` pixels a side.
 fn frontal(size: u32) -> View {
     View {

@@ -28,6 +28,27 @@ pub enum Wrap {
     ClampToEdge,
 }
 
+impl Wrap {
+    /// The texel in `[0, size)` that a texel index anywhere means, on an axis of `size` texels (at least 1).
+    #[inline]
+    pub fn texel(self, index: i64, size: usize) -> usize {
+        let size = size.max(1) as i64;
+        // Nearly all, and the divisions below are slow.
+        if (0..size).contains(&index) {
+            return index as usize;
+        }
+        let inside = match self {
+            Wrap::Repeat => index.rem_euclid(size),
+            Wrap::ClampToEdge => index.clamp(0, size - 1),
+            Wrap::MirroredRepeat => {
+                let twice = index.rem_euclid(2 * size);
+                twice.min(2 * size - 1 - twice)
+            }
+        };
+        inside as usize
+    }
+}
+
 /// Texel filter of a sampler.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Filter {

@@ -1,7 +1,5 @@
 //! Compute passes: pipelines, buffers that shaders write, and what they wrote.
 
-use std::sync::mpsc;
-
 use crate::{Gpu, GpuError};
 
 impl Gpu {
@@ -80,32 +78,8 @@ impl Gpu {
         if bytes == 0 {
             return Ok(Vec::new());
         }
-        let (done, outcome) = mpsc::channel();
-        let readback = self.check("readback", || {
-            let readback = self.device().create_buffer(&wgpu::BufferDescriptor {
-                label: Some("readback"),
-                size: bytes,
-                usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
-                mapped_at_creation: false,
-            });
-            let mut encoder = self.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            encoder.copy_buffer_to_buffer(buffer, 0, &readback, 0, bytes);
-            self.queue().submit([encoder.finish()]);
-            readback.map_async(wgpu::MapMode::Read, .., move |mapped| {
-                // The receiver lives in this function; if it is gone, nobody waits.
-                let _ = done.send(mapped);
-            });
-            readback
-        })?;
-        let lost = |reason: String| GpuError::Lost { reason };
-        self.check("readback", || self.device().poll(wgpu::PollType::wait_indefinitely()))?
-            .map_err(|e| lost(e.to_string()))?;
-        match outcome.try_recv() {
-            Ok(Ok(())) => {}
-            Ok(Err(e)) => return Err(lost(e.to_string())),
-            Err(_) => return Err(lost("the readback never finished".into())),
-        }
-        let mapped = readback.get_mapped_range(..).map_err(|e| lost(e.to_string()))?;
+        let mapped =
+            self.read_back(bytes, |encoder, readback| encoder.copy_buffer_to_buffer(buffer, 0, readback, 0, bytes))?;
         let mut values = vec![T::zeroed(); bytes as usize / size_of::<T>()];
         let whole = values.len() * size_of::<T>();
         bytemuck::cast_slice_mut(&mut values).copy_from_slice(&mapped[..whole]);

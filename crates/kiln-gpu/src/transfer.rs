@@ -112,28 +112,40 @@ impl Gpu {
         if needed > limit {
             return Err(GpuError::TooLarge { what: "readback".into(), needed, limit, unit: "bytes" });
         }
+        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row as u32), rows_per_image: None };
+        let mapped = self.read_back(needed, |encoder, readback| {
+            let into = wgpu::TexelCopyBufferInfo { buffer: readback, layout };
+            encoder.copy_texture_to_buffer(picture.as_image_copy(), into, picture.size());
+        })?;
+        let mut texels = Vec::with_capacity((width * height) as usize);
+        for line in mapped.chunks_exact(row as usize).take(height as usize) {
+            texels.extend(line.as_chunks::<4>().0.iter().take(width as usize).map(|b| u32::from_le_bytes(*b)));
+        }
+        Ok(texels)
+    }
+
+    /// The `bytes` that `copy` writes to a buffer, after all work submitted so far.
+    pub(crate) fn read_back(
+        &self,
+        bytes: u64,
+        copy: impl FnOnce(&mut wgpu::CommandEncoder, &wgpu::Buffer),
+    ) -> Result<wgpu::BufferView, GpuError> {
         let (done, outcome) = mpsc::channel();
-        let buffer = self.check("readback", || {
-            let buffer = self.device().create_buffer(&wgpu::BufferDescriptor {
+        let readback = self.check("readback", || {
+            let readback = self.device().create_buffer(&wgpu::BufferDescriptor {
                 label: Some("readback"),
-                size: needed,
+                size: bytes,
                 usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
                 mapped_at_creation: false,
             });
             let mut encoder = self.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            let layout =
-                wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row as u32), rows_per_image: None };
-            encoder.copy_texture_to_buffer(
-                picture.as_image_copy(),
-                wgpu::TexelCopyBufferInfo { buffer: &buffer, layout },
-                picture.size(),
-            );
+            copy(&mut encoder, &readback);
             self.queue().submit([encoder.finish()]);
-            buffer.map_async(wgpu::MapMode::Read, .., move |mapped| {
+            readback.map_async(wgpu::MapMode::Read, .., move |mapped| {
                 // The receiver lives in this function; if it is gone, nobody waits.
                 let _ = done.send(mapped);
             });
-            buffer
+            readback
         })?;
         let lost = |reason: String| GpuError::Lost { reason };
         self.check("readback", || self.device().poll(wgpu::PollType::wait_indefinitely()))?
@@ -143,11 +155,6 @@ impl Gpu {
             Ok(Err(e)) => return Err(lost(e.to_string())),
             Err(_) => return Err(lost("the readback never finished".into())),
         }
-        let mapped = buffer.get_mapped_range(..).map_err(|e| lost(e.to_string()))?;
-        let mut texels = Vec::with_capacity((width * height) as usize);
-        for line in mapped.chunks_exact(row as usize).take(height as usize) {
-            texels.extend(line.as_chunks::<4>().0.iter().take(width as usize).map(|b| u32::from_le_bytes(*b)));
-        }
-        Ok(texels)
+        readback.get_mapped_range(..).map_err(|e| lost(e.to_string()))
     }
 }

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use glam::{Vec2, Vec4};
-use kiln_asset::{Filter, Raster, Sampler, Wrap};
+use kiln_asset::{Filter, Raster, Sampler};
 
 /// A picture and smaller versions of it, each half as wide and high.
 #[derive(Clone, Debug)]
@@ -82,7 +82,8 @@ fn read(level: &Raster, sampler: &Sampler, filter: Filter, uv: Vec2, decode: &im
         return decode([255; 4]);
     }
     let (x, y) = (uv.x * level.width as f32, uv.y * level.height as f32);
-    let (column, row) = (|i| wrapped(i, level.width, sampler.wrap_u), |j| wrapped(j, level.height, sampler.wrap_v));
+    let (column, row) =
+        (|i| sampler.wrap_u.texel(i, level.width as usize), |j| sampler.wrap_v.texel(j, level.height as usize));
     let texel = |i: usize, j: usize| decode(level.texels[j * level.width as usize + i]);
     match filter {
         Filter::Nearest => texel(column(x.floor() as i64), row(y.floor() as i64)),
@@ -98,27 +99,10 @@ fn read(level: &Raster, sampler: &Sampler, filter: Filter, uv: Vec2, decode: &im
     }
 }
 
-/// The texel index in `[0, size)` that an index anywhere means.
-#[inline]
-fn wrapped(index: i64, size: u32, wrap: Wrap) -> usize {
-    let size = size as i64;
-    // Nearly all, and the divisions below are slow.
-    if (0..size).contains(&index) {
-        return index as usize;
-    }
-    let wrapped = match wrap {
-        Wrap::Repeat => index.rem_euclid(size),
-        Wrap::ClampToEdge => index.clamp(0, size - 1),
-        Wrap::MirroredRepeat => {
-            let twice = index.rem_euclid(2 * size);
-            twice.min(2 * size - 1 - twice)
-        }
-    };
-    wrapped as usize
-}
-
 #[cfg(test)]
 mod tests {
+    use kiln_asset::Wrap;
+
     use super::*;
 
     fn grey(value: u8) -> [u8; 4] {
@@ -153,7 +137,7 @@ mod tests {
 
     #[test]
     fn wrap_modes_differ_outside() {
-        let read = |wrap, index| wrapped(index, 4, wrap);
+        let read = |wrap: Wrap, index| wrap.texel(index, 4);
         let row = |wrap| (-5..9).map(|i| read(wrap, i)).collect::<Vec<_>>();
         assert_eq!(row(Wrap::Repeat), [3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0]);
         assert_eq!(row(Wrap::ClampToEdge), [0, 0, 0, 0, 0, 0, 1, 2, 3, 3, 3, 3, 3, 3]);

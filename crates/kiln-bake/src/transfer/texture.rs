@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use glam::Vec2;
-use kiln_asset::{Filter, Raster, Sampler, Wrap};
+use kiln_asset::{Filter, Raster, Sampler};
 use kiln_geom::colour::{linear_to_srgb, srgb_to_linear, unorm8};
 use kiln_geom::math;
 
@@ -69,7 +69,7 @@ impl Pyramid {
 
     fn texel(&self, level: usize, x: i64, y: i64, sampler: &Sampler) -> [f32; 4] {
         let raster = &self.levels[level];
-        let (x, y) = (wrap(x, raster.width, sampler.wrap_u), wrap(y, raster.height, sampler.wrap_v));
+        let (x, y) = (sampler.wrap_u.texel(x, raster.width as usize), sampler.wrap_v.texel(y, raster.height as usize));
         let texel = raster.texels.get(y * raster.width as usize + x).copied().unwrap_or([255; 4]);
         decode(texel, self.srgb)
     }
@@ -83,20 +83,6 @@ fn decode(texel: [u8; 4], srgb: bool) -> [f32; 4] {
 
 fn lerp(a: [f32; 4], b: [f32; 4], t: f32) -> [f32; 4] {
     std::array::from_fn(|i| a[i] + (b[i] - a[i]) * t)
-}
-
-/// The texel that stands for index `i` of an axis of `size` texels.
-fn wrap(i: i64, size: u32, wrap: Wrap) -> usize {
-    let n = size.max(1) as i64;
-    let index = match wrap {
-        Wrap::Repeat => i.rem_euclid(n),
-        Wrap::ClampToEdge => i.clamp(0, n - 1),
-        Wrap::MirroredRepeat => {
-            let there = i.rem_euclid(2 * n);
-            there.min(2 * n - 1 - there)
-        }
-    };
-    index as usize
 }
 
 fn halve(finer: &Raster, srgb: bool) -> Raster {
@@ -120,6 +106,8 @@ fn halve(finer: &Raster, srgb: bool) -> Raster {
 
 #[cfg(test)]
 mod tests {
+    use kiln_asset::Wrap;
+
     use super::*;
 
     fn ramp() -> Arc<Raster> {

@@ -3,20 +3,6 @@
 use kiln_asset::{Raster, Wrap};
 use rayon::prelude::*;
 
-/// The texel in `[0, size)` that a texel index anywhere means.
-pub(super) fn wrapped(index: i64, size: usize, wrap: Wrap) -> usize {
-    let size = size as i64;
-    let inside = match wrap {
-        Wrap::Repeat => index.rem_euclid(size),
-        Wrap::ClampToEdge => index.clamp(0, size - 1),
-        Wrap::MirroredRepeat => {
-            let twice = index.rem_euclid(2 * size);
-            twice.min(2 * size - 1 - twice)
-        }
-    };
-    inside as usize
-}
-
 /// One value a texel, top row first.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Plane {
@@ -58,7 +44,7 @@ impl Plane {
 
     /// The value at a texel anywhere, beyond the edges by `wrap`, in u and in v.
     pub(super) fn at(&self, x: i64, y: i64, wrap: [Wrap; 2]) -> f32 {
-        self.values[wrapped(y, self.height, wrap[1]) * self.width + wrapped(x, self.width, wrap[0])]
+        self.values[wrap[1].texel(y, self.height) * self.width + wrap[0].texel(x, self.width)]
     }
 
     /// Smoothed by a Gaussian of `sigma` texels, rows, then columns; beyond its edges the picture goes on by `wrap`.
@@ -68,7 +54,7 @@ impl Plane {
         let (width, height) = (self.width, self.height);
         let mut rows = vec![0.0; self.values.len()];
         rows.par_chunks_mut(width).zip(self.values.par_chunks(width)).for_each(|(out, row)| {
-            let padded: Vec<f32> = (-reach..width as i64 + reach).map(|x| row[wrapped(x, width, wrap[0])]).collect();
+            let padded: Vec<f32> = (-reach..width as i64 + reach).map(|x| row[wrap[0].texel(x, width)]).collect();
             for (value, window) in out.iter_mut().zip(padded.windows(kernel.len())) {
                 *value = window.iter().zip(&kernel).map(|(v, k)| v * k).sum();
             }
@@ -76,7 +62,7 @@ impl Plane {
         let mut values = vec![0.0; rows.len()];
         values.par_chunks_mut(width).enumerate().for_each(|(y, out)| {
             for (k, factor) in kernel.iter().enumerate() {
-                let from = wrapped(y as i64 + k as i64 - reach, height, wrap[1]) * width;
+                let from = wrap[1].texel(y as i64 + k as i64 - reach, height) * width;
                 for (value, v) in out.iter_mut().zip(&rows[from..from + width]) {
                     *value += v * factor;
                 }

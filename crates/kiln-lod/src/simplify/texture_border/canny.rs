@@ -15,7 +15,7 @@
 use kiln_asset::Wrap;
 use rayon::prelude::*;
 
-use crate::simplify::plane::{Plane, wrapped};
+use crate::simplify::plane::Plane;
 
 /// A gradient below this is that of rounding and counts as none: codes a texel.
 const NO_GRADIENT: f32 = 1.0 / 64.0;
@@ -161,8 +161,8 @@ pub(super) fn detect(plane: &Plane, thresholds: &Thresholds, wrap: [Wrap; 2]) ->
         }
         while let Some([x, y]) = stack.pop() {
             for (dx, dy) in [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)] {
-                let x = wrapped(i64::from(x) + dx, width, wrap[0]);
-                let y = wrapped(i64::from(y) + dy, height, wrap[1]);
+                let x = wrap[0].texel(i64::from(x) + dx, width);
+                let y = wrap[1].texel(i64::from(y) + dy, height);
                 let strength = ridges.values[y * width + x];
                 let [x, y] = [x, y].map(|c| c as u32);
                 if strength > 0.0 && strength >= low && !borders.get(x, y) {

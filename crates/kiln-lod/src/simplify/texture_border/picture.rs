@@ -5,7 +5,6 @@ use glam::Vec2;
 use kiln_asset::Raster;
 
 use super::MapBorders;
-use crate::simplify::plane::wrapped;
 
 /// Least longest side, pixels: borders found in a smaller picture are drawn larger.
 const SIDE: u32 = 1024;
@@ -52,8 +51,8 @@ fn line(out: &mut Raster, map: &MapBorders, a: Vec2, b: Vec2, colour: [u8; 4]) {
     let count = (longest.ceil() as u32).clamp(1, 4 * out.width.max(out.height));
     for i in 0..=count {
         let place = (from + step * (i as f32 / count as f32)).floor();
-        let x = wrapped(place.x as i64, out.width as usize, map.wrap[0]);
-        let y = wrapped(place.y as i64, out.height as usize, map.wrap[1]);
+        let x = map.wrap[0].texel(place.x as i64, out.width as usize);
+        let y = map.wrap[1].texel(place.y as i64, out.height as usize);
         out.texels[y * out.width as usize + x] = colour;
     }
 }

@@ -16,7 +16,6 @@ use glam::{DVec2, Vec2};
 use kiln_asset::Wrap;
 
 use super::canny::BorderImage;
-use crate::simplify::plane::wrapped;
 
 /// Units in a texel.
 const UNITS: i64 = 256;
@@ -50,7 +49,7 @@ pub(super) fn crosses(image: &BorderImage, wrap: [Wrap; 2], a: Vec2, b: Vec2) ->
             let [one, other] = [upper, lower].map(|y| px * dy + (y - py) * dx);
             [div_ceil(one.min(other), UNITS * dy) - 1, one.max(other).div_euclid(UNITS * dy)]
         };
-        let row = wrapped(row, image.height as usize, wrap[1]) as u32;
+        let row = wrap[1].texel(row, image.height as usize) as u32;
         any_in_row(image, wrap[0], row, columns)
     })
 }
@@ -135,7 +134,7 @@ mod tests {
         let span = |k: usize| a[k].min(b[k]).div_euclid(UNITS) - 1..=a[k].max(b[k]).div_euclid(UNITS) + 1;
         span(1).any(|y| {
             span(0).any(|x| {
-                let texel = (wrapped(x, image.width as usize, wrap[0]), wrapped(y, image.height as usize, wrap[1]));
+                let texel = (wrap[0].texel(x, image.width as usize), wrap[1].texel(y, image.height as usize));
                 image.get(texel.0 as u32, texel.1 as u32) && meets(x, y)
             })
         })

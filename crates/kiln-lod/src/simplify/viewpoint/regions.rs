@@ -23,7 +23,6 @@ use kiln_geom::colour::{linear_to_srgb, srgb_to_linear};
 use serde::{Deserialize, Serialize};
 
 use super::segmentation::{Segmentation, SegmentationOptions, segment};
-use crate::simplify::plane::wrapped;
 
 /// Which texture region a texel shows. Region 0 is the background.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -90,8 +89,8 @@ impl RegionMap {
             RegionMap::Whole(id) => *id,
             RegionMap::Picture { width, height, wrap, ids, .. } => {
                 // A coordinate that is no number counts as 0.
-                let x = wrapped((uv.x * f64::from(*width)).floor() as i64, *width as usize, wrap[0]);
-                let y = wrapped((uv.y * f64::from(*height)).floor() as i64, *height as usize, wrap[1]);
+                let x = wrap[0].texel((uv.x * f64::from(*width)).floor() as i64, *width as usize);
+                let y = wrap[1].texel((uv.y * f64::from(*height)).floor() as i64, *height as usize);
                 ids[y * *width as usize + x]
             }
         }

@@ -235,7 +235,8 @@ impl Paint<'_> {
             None => [0, 1].map(|k| between(self.uv.map(|c| c[k]), shares)),
             Some(near) => self.between_meeting(near, shares),
         };
-        let [column, row] = [wrapped(u >> 8, self.side[0], self.wrap[0]), wrapped(v >> 8, self.side[1], self.wrap[1])];
+        let [column, row] =
+            [self.wrap[0].texel(u >> 8, self.side[0] as usize), self.wrap[1].texel(v >> 8, self.side[1] as usize)];
         self.ids[row * self.side[0] as usize + column]
     }
 
@@ -254,24 +255,6 @@ impl Paint<'_> {
 #[inline]
 fn between([a, b, c]: [i64; 3], shares: [i64; 2]) -> i64 {
     a + ((shares[0] * (b - a) + shares[1] * (c - a)) >> 30)
-}
-
-/// A texel's column or row inside a picture of `side` texels.
-#[inline]
-fn wrapped(at: i64, side: u32, wrap: Wrap) -> usize {
-    let side = i64::from(side);
-    if (0..side).contains(&at) {
-        return at as usize;
-    }
-    let inside = match wrap {
-        Wrap::Repeat => at.rem_euclid(side),
-        Wrap::ClampToEdge => at.clamp(0, side - 1),
-        Wrap::MirroredRepeat => {
-            let at = at.rem_euclid(2 * side);
-            at.min(2 * side - 1 - at)
-        }
-    };
-    inside as usize
 }
 
 /// A face on a screen, from its lowest point on.

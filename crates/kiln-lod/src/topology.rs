@@ -205,11 +205,15 @@ impl Topology {
         if self.edge_kinds[corner as usize / 3][k] >= EdgeKind::Border || is_degenerate(face) {
             return NONE;
         }
-        let to = face[(k + 1) % 3];
-        let into = |c: &u32| previous(*c);
-        let other = self.star(PointId(face[k])).iter().map(into);
-        let mut found = other.filter(|c| self.face_points[*c as usize / 3][*c as usize % 3] == to);
-        found.next().unwrap_or(NONE)
+        let (from, to) = (face[k], face[(k + 1) % 3]);
+        let point = |c: u32| self.face_points[c as usize / 3][c as usize % 3];
+        // Of the two stars the smaller: a hub's faces are not asked for each of its spokes.
+        let (here, there) = (self.star(PointId(from)), self.star(PointId(to)));
+        let found = match here.len() <= there.len() {
+            true => here.iter().map(|c| previous(*c)).find(|c| point(*c) == to),
+            false => there.iter().copied().find(|c| point(next(*c)) == from),
+        };
+        found.unwrap_or(NONE)
     }
 
     /// Number of points of each kind, in the order of [`PointKind`].

@@ -92,7 +92,7 @@ pub struct SimplifyOptions {
     pub floor: f64,
     /// How strongly open borders hold their shape, on the square length of their edges.
     pub border_weight: f64,
-    /// How strongly seams and boundaries hold theirs.
+    /// How strongly boundaries hold theirs; and seams, but for a hundredth of it where attributes have a price, which hold them too.
     pub line_weight: f64,
     /// Share of the square edge length in the cost: orders places without error (flat, straight) by length, and is far below
     /// any error that shows.

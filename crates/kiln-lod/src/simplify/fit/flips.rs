@@ -13,7 +13,7 @@
 //! swap).
 
 use glam::{DVec2, DVec3, Vec2};
-use kiln_asset::RawMesh;
+use kiln_asset::{PointId, RawMesh};
 use kiln_geom::triangle::closest_point;
 
 use super::back::{ByFace, SHARES};
@@ -152,8 +152,9 @@ impl Fit<'_> {
 
     /// Whether two points have an edge.
     fn joined(&self, c: u32, d: u32) -> bool {
-        let around = self.topology.first[c as usize] as usize..self.topology.first[c as usize + 1] as usize;
-        self.topology.corners[around].iter().any(|corner| self.topology.face_points[*corner as usize / 3].contains(&d))
+        let (of_c, of_d) = (self.topology.star(PointId(c)), self.topology.star(PointId(d)));
+        let (fewer, other) = if of_c.len() <= of_d.len() { (of_c, d) } else { (of_d, c) };
+        fewer.iter().any(|corner| self.topology.face_points[*corner as usize / 3].contains(&other))
     }
 }
 

@@ -195,8 +195,9 @@ impl Chosen {
 /// A sample as the sweeps want it.
 #[derive(Clone, Copy)]
 struct Tie {
-    /// The source's vertex, and the level's face that it lies on.
+    /// The source's vertex or face (as in [`Chosen`]); [`NONE`] for a place on an edge that looks back.
     sample: u32,
+    /// The level's face that it lies on.
     face: u32,
     points: [u32; 3],
     bary: [f64; 3],

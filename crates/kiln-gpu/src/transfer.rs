@@ -1,11 +1,15 @@
 //! Bytes to the device and back.
 
 use std::sync::mpsc;
+use std::time::Duration;
 
 use crate::{Gpu, GpuError};
 
 /// Rows of a picture lie this far apart in a buffer, bytes (an API rule).
 const ROW_ALIGNMENT: u64 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as u64;
+
+/// How long the outcome of finished work may stay away before the device counts as lost.
+const CALLBACK_LIMIT: Duration = Duration::from_secs(60);
 
 impl Gpu {
     /// A read-only storage buffer with these values; an empty slice gives one zeroed value, since bindings may not be empty.
@@ -150,7 +154,8 @@ impl Gpu {
         let lost = |reason: String| GpuError::Lost { reason };
         self.check("readback", || self.device().poll(wgpu::PollType::wait_indefinitely()))?
             .map_err(|e| lost(e.to_string()))?;
-        match outcome.try_recv() {
+        // Another thread's poll may have taken our callback along and be about to call it: the outcome is on its way.
+        match outcome.recv_timeout(CALLBACK_LIMIT) {
             Ok(Ok(())) => {}
             Ok(Err(e)) => return Err(lost(e.to_string())),
             Err(_) => return Err(lost("the readback never finished".into())),

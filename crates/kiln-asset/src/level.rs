@@ -30,6 +30,16 @@ pub struct UvLayout {
     pub padding: u32,
     /// Number of charts.
     pub chart_count: u32,
+    /// Number of sheets, at least 1. Sheet `s` is the square `[s, s + 1] x [0, 1]` of the layout's UVs (as UDIM tiles lie side by
+    /// side); all faces of a submesh lie on one sheet, and no chart touches its sheet's edge where there are several.
+    pub sheets: u32,
+}
+
+impl UvLayout {
+    /// The sheet on which a face with these UVs lies, from 0; out of range for UVs outside of the layout.
+    pub fn sheet_of(corners: [glam::Vec2; 3]) -> u32 {
+        ((corners[0].x + corners[1].x + corners[2].x) / 3.0).floor().max(0.0) as u32
+    }
 }
 
 /// Levels that share one UV layout, finest first.
@@ -46,7 +56,7 @@ pub struct LodSet {
 impl LodSet {
     /// The set as bytes for the private cache.
     pub fn to_blob(&self) -> Vec<u8> {
-        let mut blob = BlobWriter::new(*b"LODS", 1);
+        let mut blob = BlobWriter::new(*b"LODS", 2);
         blob.meta(&(self.source_triangles, self.layout, self.levels.iter().map(|l| l.error).collect::<Vec<_>>()));
         for level in &self.levels {
             level.mesh.write(&mut blob);
@@ -60,7 +70,7 @@ impl LodSet {
     /// # Errors
     /// Wrong type, version, length or content.
     pub fn from_blob(bytes: &[u8]) -> Result<LodSet, BlobError> {
-        let mut blob = BlobReader::open(bytes, *b"LODS", 1)?;
+        let mut blob = BlobReader::open(bytes, *b"LODS", 2)?;
         let (source_triangles, layout, errors): (u32, Option<UvLayout>, Vec<f32>) = blob.meta()?;
         let mut levels = Vec::new();
         for error in errors {

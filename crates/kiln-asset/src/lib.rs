@@ -17,10 +17,11 @@ pub use blob::BlobError;
 pub use ids::{CornerId, FaceId, ImageId, MaterialId, PointId, SubmeshId, TextureId, WedgeId};
 pub use level::{Level, LodSet, QuadricCoefficients, UvLayout};
 pub use material::{
-    AlphaMode, Filter, ImageFormat, ImageInfo, MapRole, Material, MaterialSet, Sampler, Texture, TextureRef, Wrap,
+    AlphaMode, ExtraImage, ExtraMap, Filter, ImageFormat, ImageInfo, MapRole, Material, MaterialSet, Sampler, Texture,
+    TextureRef, Wrap,
 };
 pub use mesh::{AttributeSet, Mesh, MeshDefect, MeshError, RawMesh, Submesh};
-pub use raster::Raster;
+pub use raster::{DeepRaster, Precision, Raster};
 
 /// A model as imported: one mesh in object space, its materials, its images' bytes.
 #[derive(Clone, Debug, Default, PartialEq)]

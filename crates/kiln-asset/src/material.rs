@@ -223,6 +223,75 @@ impl Material {
     }
 }
 
+/// A baked picture that no material slot holds: for tools, shaders of one's own, and the next program in the chain.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ExtraMap {
+    /// Signed distance of the high surface from the low one along the texel's direction, object units, outwards positive; in R.
+    Height,
+    /// Place on the high surface, object space; RGB.
+    Position,
+    /// Normal of the high surface, axes of the asset, unit length; RGB.
+    ObjectNormal,
+    /// Number of the high submesh, in R.
+    ObjectId,
+    /// Number of the source's material, in R; -1: none.
+    MaterialId,
+    /// Mean curvature of the high surface, 1 / object unit, convex positive; in R.
+    Curvature,
+    /// Share of the hemisphere above the high surface that is open, weighted by the cosine, `[0, 1]`; in R.
+    AmbientOcclusion,
+    /// Mean direction of that open share, axes of the asset, unit length; RGB.
+    BentNormal,
+    /// Alpha of the source, `[0, 1]`; in R.
+    Opacity,
+    /// Share of the texel's samples that met the high surface, `[0, 1]`; in R. Nothing is filled in.
+    Coverage,
+}
+
+impl ExtraMap {
+    /// Every kind, in the order in which maps are written.
+    pub const ALL: [ExtraMap; 10] = [
+        ExtraMap::Height,
+        ExtraMap::Position,
+        ExtraMap::ObjectNormal,
+        ExtraMap::ObjectId,
+        ExtraMap::MaterialId,
+        ExtraMap::Curvature,
+        ExtraMap::AmbientOcclusion,
+        ExtraMap::BentNormal,
+        ExtraMap::Opacity,
+        ExtraMap::Coverage,
+    ];
+
+    /// The name in pipelines and files: `object-normal`.
+    pub fn name(self) -> &'static str {
+        match self {
+            ExtraMap::Height => "height",
+            ExtraMap::Position => "position",
+            ExtraMap::ObjectNormal => "object-normal",
+            ExtraMap::ObjectId => "object-id",
+            ExtraMap::MaterialId => "material-id",
+            ExtraMap::Curvature => "curvature",
+            ExtraMap::AmbientOcclusion => "ambient-occlusion",
+            ExtraMap::BentNormal => "bent-normal",
+            ExtraMap::Opacity => "opacity",
+            ExtraMap::Coverage => "coverage",
+        }
+    }
+}
+
+/// A picture of a set that belongs to no material: its image holds what `kind` says.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ExtraImage {
+    /// What its texels mean.
+    pub kind: ExtraMap,
+    /// The atlas sheet it lies on, from 0.
+    pub sheet: u32,
+    /// Its picture.
+    pub image: ImageId,
+}
+
 /// Encoding of an image's bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ImageFormat {
@@ -236,6 +305,8 @@ pub enum ImageFormat {
     Webp,
     /// KTX2 with Basis Universal texels.
     Ktx2,
+    /// [`crate::DeepRaster::to_blob`] bytes: what a bake makes where 8 bits are too few.
+    Deep,
 }
 
 impl ImageFormat {
@@ -247,6 +318,7 @@ impl ImageFormat {
             ImageFormat::Raster => "raster",
             ImageFormat::Webp => "webp",
             ImageFormat::Ktx2 => "ktx2",
+            ImageFormat::Deep => "deep",
         }
     }
 }
@@ -269,14 +341,16 @@ pub struct MaterialSet {
     pub materials: Vec<Material>,
     /// What materials refer to.
     pub textures: Vec<Texture>,
-    /// What textures refer to.
+    /// What textures and extras refer to.
     pub images: Vec<ImageInfo>,
+    /// Baked pictures outside of materials, by sheet, then by kind.
+    pub extras: Vec<ExtraImage>,
 }
 
 impl MaterialSet {
     /// The set as bytes for the private cache.
     pub fn to_blob(&self) -> Vec<u8> {
-        let mut blob = crate::blob::BlobWriter::new(*b"MATL", 1);
+        let mut blob = crate::blob::BlobWriter::new(*b"MATL", 2);
         blob.meta(self);
         blob.finish()
     }
@@ -286,13 +360,14 @@ impl MaterialSet {
     /// # Errors
     /// Wrong type, version, length, or a reference out of range.
     pub fn from_blob(bytes: &[u8]) -> Result<MaterialSet, crate::BlobError> {
-        let mut blob = crate::blob::BlobReader::open(bytes, *b"MATL", 1)?;
+        let mut blob = crate::blob::BlobReader::open(bytes, *b"MATL", 2)?;
         let set: MaterialSet = blob.meta()?;
         blob.finish()?;
         let texture_ok =
             |t: Option<TextureRef>| t.is_none_or(|t| t.texture.index() < set.textures.len() && t.uv_set < 2);
         let ok = set.materials.iter().all(|m| MapRole::ALL.iter().all(|r| texture_ok(m.map(*r))))
-            && set.textures.iter().all(|t| t.image.index() < set.images.len());
+            && set.textures.iter().all(|t| t.image.index() < set.images.len())
+            && set.extras.iter().all(|e| e.image.index() < set.images.len());
         if ok { Ok(set) } else { Err(crate::BlobError::Content("a reference is out of range".into())) }
     }
 }

@@ -76,7 +76,11 @@ fn levels() -> LodSet {
         Level { mesh: Mesh::new(raw).expect("valid"), error, quadrics: Vec::new() }
     };
     let levels = meshes.into_iter().zip([0.0, 0.01, 0.25]).map(level).collect();
-    LodSet { levels, layout: Some(UvLayout { size: 256, padding: 4, chart_count: 2 }), source_triangles: 144 }
+    LodSet {
+        levels,
+        layout: Some(UvLayout { size: 256, padding: 4, chart_count: 2, sheets: 1 }),
+        source_triangles: 144,
+    }
 }
 
 fn picture(seed: u8, width: u32, height: u32) -> Raster {

@@ -49,6 +49,7 @@ pub fn unpack_container(container: &Container<'_>) -> Result<(LodSet, MaterialSe
         size: header.layout_size,
         padding: header.layout_padding,
         chart_count: header.layout_charts,
+        sheets: 1,
     });
     Ok((LodSet { levels, layout, source_triangles: header.source_triangles }, materials, rasters))
 }

@@ -8,7 +8,7 @@ use basisu::{DecodeFlags, TargetFormat, Transcoder};
 use super::ImageLimits;
 use super::error::ImportError;
 use crate::material::ImageFormat;
-use crate::raster::Raster;
+use crate::raster::{DeepRaster, Raster};
 
 const PNG_MAGIC: &[u8] = b"\x89PNG\r\n\x1a\n";
 const KTX2_MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
@@ -37,6 +37,7 @@ pub fn image_size(format: ImageFormat, bytes: &[u8]) -> Option<(u32, u32)> {
         ImageFormat::Png => png_size(bytes),
         ImageFormat::Jpeg => jpeg_size(bytes),
         ImageFormat::Raster => raster_size(bytes),
+        ImageFormat::Deep => DeepRaster::from_blob(bytes).ok().map(|deep| (deep.width, deep.height)),
         ImageFormat::Webp => webp_size(bytes),
         ImageFormat::Ktx2 => ktx2_size(bytes),
     }
@@ -158,6 +159,7 @@ pub fn decode_image(format: ImageFormat, bytes: &[u8], limits: &ImageLimits) -> 
         ImageFormat::Jpeg => image::ImageFormat::Jpeg,
         ImageFormat::Webp => image::ImageFormat::WebP,
         ImageFormat::Raster => return Raster::from_blob(bytes).map_err(|e| invalid(e.to_string())),
+        ImageFormat::Deep => return Err(invalid("a deep picture does not fit 8 bits".into())),
         ImageFormat::Ktx2 => return transcode(bytes, width, height).map_err(invalid),
     };
     let mut reader = image::ImageReader::with_format(Cursor::new(bytes), codec);

@@ -288,7 +288,7 @@ pub fn unwrap(
             }
         };
         let mesh = wedges::split(&level.mesh, &surface, &charts, options.size);
-        let mut layout = UvLayout { size: options.size, padding: options.padding, chart_count: 0 };
+        let mut layout = UvLayout { size: options.size, padding: options.padding, chart_count: 0, sheets: 1 };
         let measure = match check::check(&mesh, &layout) {
             Ok(measure) => measure,
             Err(defects) => {

@@ -141,7 +141,10 @@ fn options(size: u32, padding: u32) -> AtlasOptions {
 fn unwrapped(level: &Level, options: &AtlasOptions) -> (Level, AtlasReport) {
     let (new, layout, report) = unwrap(level, options, &Uvunwrap::STANDARD).expect("unwraps");
     assert_untouched(level, &new);
-    assert_eq!(layout, UvLayout { size: options.size, padding: options.padding, chart_count: report.charts });
+    assert_eq!(
+        layout,
+        UvLayout { size: options.size, padding: options.padding, chart_count: report.charts, sheets: 1 }
+    );
     check(&new.mesh, &layout).expect("what `unwrap` returned passes the check");
     (new, report)
 }
@@ -419,7 +422,7 @@ fn two_triangles(uvs: [Vec2; 6]) -> Result<Measure, Vec<AtlasDefect>> {
     }
     .raw();
     raw.atlas_uv = Some(uvs.iter().map(|uv| *uv / 128.0).collect());
-    check(&Mesh::new(raw).expect("valid"), &UvLayout { size: 128, padding: 4, chart_count: 0 })
+    check(&Mesh::new(raw).expect("valid"), &UvLayout { size: 128, padding: 4, chart_count: 0, sheets: 1 })
 }
 
 /// Right-angled, 40 texels a side, counter-clockwise in the picture, its right angle at `(x, y)`.
@@ -488,7 +491,7 @@ fn the_check_finds_mirrored_outside_and_collapsed_faces() {
 #[test]
 fn a_mesh_without_an_atlas_fails_the_check() {
     let mesh = Shape::cube().level().mesh;
-    let layout = UvLayout { size: 128, padding: 4, chart_count: 0 };
+    let layout = UvLayout { size: 128, padding: 4, chart_count: 0, sheets: 1 };
     assert_eq!(check(&mesh, &layout), Err(vec![AtlasDefect::NoUvs]));
 }
 

@@ -277,7 +277,7 @@ fn chart_borders_stay_within_half_the_padding() {
     let mut raw = fixtures::hard_cube(12).into_raw();
     raw.atlas_uv = raw.uv0.as_ref().map(|uv| uv.iter().map(|t| *t / 6.0).collect());
     let mesh = Mesh::new(raw).unwrap();
-    let layout = UvLayout { size: 256, padding: 4, chart_count: 6 };
+    let layout = UvLayout { size: 256, padding: 4, chart_count: 6, sheets: 1 };
     let sequence = collapse(&mesh, &[], Some(&layout), &SimplifyOptions::default());
     assert_eq!(sequence.report().faces_left, 12, "straight chart borders may go: {:?}", sequence.report());
     // Bend the borders in the layout by more than half the padding: now their points have to stay.

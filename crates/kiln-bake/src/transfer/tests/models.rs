@@ -166,7 +166,7 @@ pub(super) fn hills(steps: u32, height: f32, waves: f32) -> RawMesh {
 pub(super) fn one_level(mesh: Mesh, size: u32, padding: u32) -> LodSet {
     LodSet {
         source_triangles: mesh.face_count() as u32,
-        layout: Some(UvLayout { size, padding, chart_count: 1 }),
+        layout: Some(UvLayout { size, padding, chart_count: 1, sheets: 1 }),
         levels: vec![Level { mesh, error: 0.0, quadrics: Vec::new() }],
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use glam::{Vec2, Vec3, Vec4};
 use kiln_asset::{AlphaMode, ImageId, MapRole, Material, MaterialSet, Mesh, Sampler};
 
-use super::materials::material_of;
+use super::materials::{Group, material_of};
 use super::resolve::{HitPoint, TangentFrame, mix3, mix4};
 use super::texture::Pyramid;
 use super::{BakeError, Images};
@@ -81,8 +81,20 @@ impl<'a> RoleSource<'a> {
         Ok(RoleSource { role, high, materials, sources, tangents })
     }
 
-    /// The high normal at a hit, object space, unit length, its normal map's detail included; `turn` for a hit from behind.
-    pub(crate) fn normal(&self, hit: &HitPoint, normals: &[Vec3], turn: bool) -> Vec3 {
+    /// Whether any submesh has a picture in this role.
+    pub(crate) fn reads_pictures(&self) -> bool {
+        self.sources.iter().any(Option::is_some)
+    }
+
+    /// The source's alpha at a hit; for [`MapRole::BaseColor`].
+    pub(crate) fn opacity(&self, hit: &HitPoint) -> f32 {
+        let submesh = self.high.face_submesh[hit.high].index();
+        let texel = self.sources[submesh].as_ref().map_or(1.0, |s| s.sample(self.high, hit)[3]);
+        texel * self.materials[submesh].base_color_factor[3] * self.color(hit, submesh)[3]
+    }
+
+    /// The high normal at a hit, object space, unit length, its normal map's detail included; turned for a hit from behind.
+    pub(crate) fn normal(&self, hit: &HitPoint, normals: &[Vec3]) -> Vec3 {
         let corners = self.high.triangles[hit.high].map(|v| normals[v as usize]);
         let submesh = self.high.face_submesh[hit.high].index();
         let smooth = mix3(corners, hit.high_bary);
@@ -94,11 +106,11 @@ impl<'a> RoleSource<'a> {
             frame.decode(Vec3::new(x * scale, y * scale, z)).try_normalize()
         });
         let normal = detailed.unwrap_or_else(|| smooth.normalize_or_zero());
-        if turn { -normal } else { normal }
+        if hit.turned { -normal } else { normal }
     }
 
     /// The role's value at a hit, linear RGBA; not for [`MapRole::Normal`]. `group` is the low submesh's new material.
-    pub(crate) fn value(&self, hit: &HitPoint, group: (AlphaMode, bool, f32)) -> [f32; 4] {
+    pub(crate) fn value(&self, hit: &HitPoint, group: Group) -> [f32; 4] {
         let submesh = self.high.face_submesh[hit.high].index();
         let material = &self.materials[submesh];
         let texel = self.sources[submesh].as_ref().map_or([1.0; 4], |s| s.sample(self.high, hit));
@@ -136,7 +148,7 @@ impl<'a> RoleSource<'a> {
 
 /// Alpha for the low side's material: 1 where either side is opaque, and moved so that the high material's cutoff falls on
 /// the low one's.
-fn alpha(alpha: f32, high: &Material, (mode, _, cutoff): (AlphaMode, bool, f32)) -> f32 {
+fn alpha(alpha: f32, high: &Material, Group { alpha_mode: mode, alpha_cutoff: cutoff, .. }: Group) -> f32 {
     if mode == AlphaMode::Opaque || high.alpha_mode == AlphaMode::Opaque {
         return 1.0;
     }

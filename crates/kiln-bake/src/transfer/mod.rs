@@ -1,114 +1,117 @@
-//! The bake: what the high mesh looks like, written into the low mesh's sheet.
+//! The bake: what the high mesh looks like, written into the low mesh's sheets.
 //!
-//! Comes in: a high mesh with its materials and pictures, levels of a low mesh that share one atlas. Goes out: the levels
-//! with that atlas as their only UVs, one material for each (alpha mode, sidedness) in use, and the maps. Positions,
-//! triangles and normals of the levels do not change.
+//! Comes in: a high mesh with its materials and pictures, levels of a low mesh that share one atlas. Goes out: the levels with that
+//! atlas as their only UVs, one material for each (sheet, alpha mode, sidedness) in use, and the maps. Positions, triangles and
+//! normals of the levels do not change.
 //!
 //! ```text
-//! sheet: each texel is owned by the low triangle of the finest level that covers its centre         (frame)
-//! for each low triangle T, with the affine map A that sends its corners to their texels along its normal N:
-//!     candidates = high triangles whose box meets T's prism and which face N's way                  (candidates)
-//!     draw A(candidate) with depth |k|, k = signed distance from T's plane interpolated as it is; less wins;
-//!     equal: the lower high face; T's own texels only                   (mirrored_vertex, on the CPU; gpu)
-//! for each texel with a winner: meet its line with the winner's plane in double precision           (resolve)
-//!     normal map: the normal there, bent by the source's normal map, in T's tangent frame            (maps)
-//!     other maps: the source's textures averaged over the texel, times factors and vertex colour     (maps, texture)
+//! each face of the finest level: a bundle of lines, linear in the place on the sheet                 (low)
+//! each sheet, each bin of its texels, rows of bins in parallel:
+//!     each sample is owned by the lowest face that covers its centre                                 (sheet)
+//!     high triangles that lines of a face can reach, from one tree; where each line meets them;
+//!     the outermost, or the nearest, stays                           (search; gpu; correspondence instead of both)
+//!     for each sample with a winner: the place on it, in double precision                            (resolve)
+//!     every map's value there: normals, textures averaged over the sample, heights, ids, ...         (maps, texture, evaluate)
+//!     samples of a texel's chart, weighted by a tent                                                 (evaluate)
 //! fill what is left (dilation); write materials (materials)
 //! ```
 //!
-//! Departures from the thesis. It mirrors vertices with k > 0 through the plane, which folds a triangle that straddles it, so
-//! that its depth is no distance; depth = |k| per fragment is exact for all. Normals are not mirrored, nothing is clipped at
-//! k = 0, facing is asked in space. Culling by prism and many low triangles in one draw are what it leaves as future work.
-//! A graphics card only names winners; all values are computed on the CPU from ids, so backends share them.
+//! Departures from the thesis. It mirrors vertices with k > 0 through the plane, which folds a triangle that straddles it, so that its
+//! depth is no distance; here every line meets the triangle itself, in front or behind. Its directions are the faces' normals
+//! (`directions = "face"`); with smooth ones a projection of vertices is wrong between them, so the image of an edge is taken for
+//! what it is, a conic. Normals are not mirrored, nothing is clipped at the plane, facing is asked in space. Culling by a tree and
+//! many low triangles at once are what it leaves as future work. A graphics card only names winners; all values are computed on the
+//! CPU from ids, so backends share them.
 //!
-//! Limits: directions jump at low edges (per-face N), so a silhouette far from the low surface is cut where prisms part or
-//! overlap; parts that float within reach in front of the surface lose to it; one sample a texel (textures are averaged over
-//! the texel, geometry is not); a texel that no centre of a triangle covers is never baked, only dilated.
+//! Hit rules. `outermost` is what bakers do today: the first surface that faces the line's way from `front` inwards. It shows parts that
+//! float within `front`, and an overhang that comes within it; hence a reach of 1.5 times the level's measured distance and no
+//! more. `nearest` is the thesis's.
 //!
-//! Coarser levels use the finest level's maps with the normals and tangents that simplification carried along. Tangents are
-//! those of the meshes given, if they belong to the atlas (`atlas` gives them); where a mesh has none, MikkTSpace computes
-//! them for each level.
+//! Limits: lines of a concave corner cross; they are cut there (counted). Samples of one texel that lie in two charts count for the
+//! heavier one. Coarser levels use the finest level's maps with the normals and tangents that simplification carried along. Tangents
+//! are those of the meshes given, if they belong to the atlas (`atlas` gives them); where a mesh has none, MikkTSpace computes them.
 //!
-//! Sources: C. González, thesis 2010, section 6.3 (mirrored vertices); M. Mikkelsen, Simulation of Wrinkled Surfaces
-//! Revisited, MSc thesis, University of Copenhagen 2008 (tangent frames).
+//! Sources: C. González, thesis 2010, sections 6.2 (correspondence), 6.3 (mirrored vertices), 7.1 (other values); J. Plücker's
+//! coordinates as in N. Platis, T. Theoharis, Fast Ray-Tetrahedron Intersection Using Plücker Coordinates, JGT 8(4), 2003; M.
+//! Mikkelsen, Simulation of Wrinkled Surfaces Revisited, MSc thesis, University of Copenhagen 2008 (tangent frames).
 
-mod candidates;
+mod charts;
 pub mod check;
-mod frame;
-mod gpu;
+mod correspondence;
+mod evaluate;
+mod low;
 mod maps;
 mod materials;
-mod mirrored_vertex;
 mod options;
 mod resolve;
+mod search;
+mod sheet;
 mod texture;
 
-use glam::{Vec2, Vec3};
-use kiln_asset::{Level, LodSet, MapRole, Material, MaterialId, MaterialSet, Mesh, Raster};
-use kiln_geom::colour::{linear_to_srgb, unorm8};
+use glam::Vec3;
+use kiln_asset::{ExtraMap, Level, LodSet, MapRole, Material, MaterialId, Mesh};
 use rayon::prelude::*;
 
 use crate::dilation::{self, TexelKind};
 use crate::tangents::{self, UvSource};
-use candidates::{Search, faces_along};
-use frame::Sheet;
+use correspondence::Layout;
+use evaluate::{Evaluator, Kind, Planned, Rows, Samples, Tent, What};
+use low::Low;
 use maps::RoleSource;
 use materials::{Groups, is_neutral, material_of};
-use resolve::{Locator, TangentFrame};
+use resolve::{Locator, Meeting};
+use search::{Scratch, Search};
+use sheet::Sheet;
 
-pub use options::{Backend, BakeError, BakeOptions, BakeReport, HitRule, Images, NormalSpace};
+pub use options::{
+    Backend, BakeError, BakeInput, BakeOptions, BakeReport, Baked, Depth, Directions, HitRule, Images, Matching,
+    Method, NormalSpace, OcclusionSource, Picture,
+};
 
-/// Bakes `high` onto the finest level of `low`: the levels in their new UVs and materials, those materials, the pictures
-/// that they refer to (`[images.len()]`, in order), and the report.
-///
-/// `high` and every level need normals, every level needs `atlas_uv`. `materials` holds the materials of both meshes'
-/// submeshes, `images` decodes its pictures.
+/// Bakes the high mesh onto the finest of the levels.
 ///
 /// # Errors
 /// See [`BakeError`]; nothing is made by halves.
-pub fn bake(
-    high: &Mesh,
-    low: &LodSet,
-    materials: &MaterialSet,
-    images: &Images<'_>,
-    options: &BakeOptions,
-    backend: Backend<'_>,
-) -> Result<(LodSet, MaterialSet, Vec<Raster>, BakeReport), BakeError> {
+pub fn bake(input: &BakeInput<'_>, options: &BakeOptions, backend: Backend<'_>) -> Result<Baked, BakeError> {
+    let BakeInput { high, low, materials, images, .. } = *input;
     let meshes = dressed(low, options)?;
     let finest = meshes.first().ok_or(BakeError::NoLevels)?;
-    let cage = options.cage.unwrap_or_else(|| default_cage(high, low.levels[0].error));
-    let hits = find_hits(high, finest, cage, options, backend)?;
+    let sheets = low.layout.map_or(1, |layout| layout.sheets.max(1));
+    let reach = reach(high, low.levels[0].error, options);
     let used: Vec<Material> = finest.submeshes.iter().map(|s| material_of(materials, s.material)).collect();
     let (asked, neutral): (Vec<MapRole>, Vec<MapRole>) =
         MapRole::ALL.iter().filter(|r| options.maps.contains(r)).partition(|r| !is_neutral(**r, &used));
-    let mut report = hits.report.clone();
-    report.lost_maps = MapRole::ALL
-        .iter()
-        .copied()
-        .filter(|r| !asked.contains(r) && used.iter().any(|m| m.map(*r).is_some()))
-        .collect();
-    report.short_padding = short_padding(low, options);
-    report.neutral_maps = neutral;
-    report.maps.clone_from(&asked);
-
     let groups = Groups::new(finest, materials);
-    let (covered, inside) = (hits.covered(), hits.inside());
-    let mut maps = Vec::new();
-    for role in asked {
-        // One role after another: only its pictures are in memory.
-        let source = RoleSource::new(role, high, materials, images)?;
-        let mut raster = hits.picture(role, &source, &groups, options)?;
-        let object = role == MapRole::Normal && options.space == NormalSpace::Object;
-        if role == MapRole::Normal && !object {
-            let texels = raster.texels.iter().zip(&covered);
-            report.behind = texels.filter(|(t, covered)| **covered && t[2] < 127).count() as u64;
-        }
-        let filled = dilation::dilate(&mut raster, &covered, &inside, options.dilation, kind_of(role));
-        report.dilated = filled.dilated;
-        let name = if object { "normal (object space)" } else { role.name() };
-        maps.push((role, name.to_owned(), raster));
+    let mut planned = Vec::new();
+    for role in &asked {
+        let source = Some(RoleSource::new(*role, high, materials, images)?);
+        planned.push(Planned { what: What::Role(*role), source });
     }
-    let set = materials::new_set(finest, materials, &groups, &maps);
+    for extra in ExtraMap::ALL.iter().filter(|e| options.extras.contains(e)) {
+        let source = match extra {
+            ExtraMap::Opacity => Some(RoleSource::new(MapRole::BaseColor, high, materials, images)?),
+            _ => None,
+        };
+        planned.push(Planned { what: What::Extra(*extra), source });
+    }
+    let mut report = BakeReport {
+        size: options.size,
+        front: reach[0],
+        back: reach[1],
+        sheets,
+        short_padding: short_padding(low, options),
+        lost_maps: lost_maps(&asked, &used),
+        neutral_maps: neutral,
+        maps: asked.clone(),
+        extras: ExtraMap::ALL.iter().copied().filter(|e| options.extras.contains(e)).collect(),
+        ..BakeReport::default()
+    };
+    let mut pictures = Vec::new();
+    for sheet in 0..sheets {
+        let pass = Pass::new(input, finest, sheet, options, reach, backend)?;
+        pictures.extend(pass.bake(&groups, &planned, &mut report)?);
+    }
+    let set = materials::new_set(finest, materials, &groups, &planned, &pictures, options);
     let drop_colors = options.maps.contains(&MapRole::BaseColor);
     let mut levels = Vec::with_capacity(meshes.len());
     for (level, mesh) in meshes.into_iter().enumerate() {
@@ -116,190 +119,390 @@ pub fn bake(
         let Level { error, quadrics, .. } = &low.levels[level];
         levels.push(Level { mesh, error: *error, quadrics: quadrics.clone() });
     }
-    let set_of = LodSet { levels, layout: low.layout, source_triangles: low.source_triangles };
-    let pictures = maps.into_iter().map(|m| m.2).collect();
-    Ok((set_of, set, pictures, report))
+    let levels = LodSet { levels, layout: low.layout, source_triangles: low.source_triangles };
+    Ok(Baked { levels, materials: set, pictures, report })
 }
 
-/// Which high face each texel of the sheet shows: the result of the hit pass, before anything is sampled.
-pub struct HitBuffer<'a> {
+/// One sheet of the finest level, ready to be baked.
+struct Pass<'a> {
     high: &'a Mesh,
-    low: &'a Mesh,
-    atlas_uv: &'a [Vec2],
-    size: u32,
-    /// `[size * size]` low face + 1 that owns the texel, 0 = none.
+    low: Low<'a>,
+    sheet: Sheet,
+    finder: Finder<'a>,
+    /// `[face_count]`.
+    charts: Vec<u32>,
+    options: &'a BakeOptions,
+    backend: String,
+}
+
+enum Finder<'a> {
+    Lines(Search<'a>),
+    Layout(Layout<'a>),
+}
+
+/// What one thread keeps between bins.
+#[derive(Default)]
+struct Bench {
+    owners: Vec<u32>,
+    winners: Vec<u32>,
+    scratch: Scratch,
+    values: Vec<Vec<[f32; 4]>>,
+}
+
+/// What a row of bins came to.
+#[derive(Clone, Copy, Default)]
+struct Counts {
+    owned: u64,
+    covered: u64,
+    overlaps: u64,
+    behind: u64,
+    pairs: u64,
+    double: u64,
+}
+
+impl std::ops::Add for Counts {
+    type Output = Counts;
+
+    fn add(self, other: Counts) -> Counts {
+        Counts {
+            owned: self.owned + other.owned,
+            covered: self.covered + other.covered,
+            overlaps: self.overlaps + other.overlaps,
+            behind: self.behind + other.behind,
+            pairs: self.pairs + other.pairs,
+            double: self.double + other.double,
+        }
+    }
+}
+
+impl<'a> Pass<'a> {
+    /// `finest`: of the levels, with `atlas_uv`.
+    fn new(
+        input: &BakeInput<'a>,
+        finest: &'a Mesh,
+        sheet: u32,
+        options: &'a BakeOptions,
+        reach: [f32; 2],
+        backend: Backend<'a>,
+    ) -> Result<Pass<'a>, BakeError> {
+        evaluate::check_options(options, reach)?;
+        let high = input.high;
+        let uv = finest.atlas_uv.as_deref().ok_or(BakeError::NoAtlas { level: 0 })?;
+        if finest.normals.is_none() {
+            return Err(BakeError::NoNormals { mesh: "low" });
+        }
+        if high.normals.is_none() {
+            return Err(BakeError::NoNormals { mesh: "high" });
+        }
+        let mut low = Low::new(finest, uv, sheet, options, reach);
+        if let Some(cage) = input.cage {
+            low = low.with_cage(cage);
+        }
+        let finder = match options.method {
+            Method::MirroredVertex => Finder::Lines(Search::new(high, finest, options)),
+            Method::Correspondence => {
+                // The atlas if both carry it, else the model's own layout.
+                let carried = high.atlas_uv.as_deref().filter(|_| input.low.levels[0].mesh.atlas_uv.is_some());
+                let uv = carried.or(high.uv0.as_deref());
+                let uv = uv.ok_or_else(|| BakeError::Layouts("the high mesh has no texture coordinates".into()))?;
+                Finder::Layout(Layout::new(high, uv, options.size * options.samples))
+            }
+        };
+        let backend = match backend {
+            Backend::Cpu => "cpu".to_owned(),
+            Backend::Gpu(gpu) => gpu.class().to_string(),
+        };
+        let sheet = Sheet::new(&low);
+        Ok(Pass { high, low, sheet, finder, charts: charts::charts(finest, uv), options, backend })
+    }
+
+    /// All maps of the sheet, in the order of `planned`; counts are added to `report`.
+    fn bake(
+        &self,
+        groups: &Groups,
+        planned: &[Planned<'_>],
+        report: &mut BakeReport,
+    ) -> Result<Vec<Picture>, BakeError> {
+        let finest = self.low.mesh;
+        let tangent_space =
+            planned.iter().any(|m| m.what == What::Role(MapRole::Normal)) && self.options.space == NormalSpace::Tangent;
+        if tangent_space && finest.tangents.is_none() {
+            return Err(BakeError::StaleTangents { level: 0 });
+        }
+        let evaluator = Evaluator {
+            high: self.high,
+            low: finest,
+            high_normals: self.high.normals.as_deref().unwrap_or_default(),
+            low_normals: finest.normals.as_deref().unwrap_or_default(),
+            low_tangents: finest.tangents.as_deref().unwrap_or_default(),
+            groups,
+            maps: planned,
+            options: self.options,
+        };
+        let size = self.sheet.size;
+        let texels = size as usize * size as usize;
+        let mut pictures: Vec<Picture> = planned.iter().map(|m| m.what.picture(size, self.options.depth)).collect();
+        let (mut charts, mut covered) = (vec![0u32; texels], vec![false; texels]);
+        let rows = self.sheet.side as usize * size as usize;
+        let mut bands = evaluate::bands(&mut pictures, rows);
+        bands.resize_with(charts.len().div_ceil(rows), Vec::new);
+        let counts = bands
+            .into_par_iter()
+            .zip(charts.par_chunks_mut(rows))
+            .zip(covered.par_chunks_mut(rows))
+            .enumerate()
+            .map_init(Bench::default, |bench, (y, ((mut maps, charts), covered))| {
+                self.band(y as u32, &evaluator, bench, &mut maps, charts, covered)
+            })
+            .reduce(Counts::default, |a, b| a + b);
+        self.account(counts, report);
+        if let Finder::Layout(_) = self.finder {
+            if counts.covered == 0 {
+                return Err(BakeError::Layouts("the two meshes share no place of the layout".into()));
+            }
+            if counts.double > 0 {
+                let samples = counts.double;
+                return Err(BakeError::Layouts(format!(
+                    "{samples} samples are covered by more than one face of the high mesh; a layout with overlaps says nothing there"
+                )));
+            }
+        }
+        let inside: Vec<bool> = charts.iter().map(|c| *c != 0).collect();
+        for (picture, map) in pictures.iter_mut().zip(planned) {
+            if map.what == What::Extra(ExtraMap::Coverage) {
+                continue;
+            }
+            if let Picture::Plain(raster) = picture {
+                let kind = match map.what.kind() {
+                    Kind::Colour => TexelKind::Srgb,
+                    Kind::Normal => TexelKind::Normal,
+                    Kind::Linear | Kind::Number => TexelKind::Linear,
+                };
+                let filled = dilation::dilate(raster, &covered, &inside, self.options.dilation, kind);
+                report.dilated = filled.dilated;
+            }
+        }
+        Ok(pictures)
+    }
+
+    fn account(&self, counts: Counts, report: &mut BakeReport) {
+        let odd = |count: fn(&low::Oddities) -> bool| {
+            let faces = (0..self.low.mesh.face_count()).into_par_iter().filter(|f| self.low.holds(*f));
+            faces.filter(|f| count(&self.low.oddities(*f))).count() as u64
+        };
+        report.backend.clone_from(&self.backend);
+        report.owned += counts.owned;
+        report.covered += counts.covered;
+        report.missed += counts.owned - counts.covered;
+        report.overlapping += counts.overlaps.div_ceil(u64::from(self.sheet.samples * self.sheet.samples));
+        report.behind += counts.behind;
+        report.pairs += counts.pairs;
+        report.sliver_faces += odd(|o| o.sliver);
+        report.flat_faces += odd(|o| o.flat);
+        report.steep_faces += odd(|o| o.steep);
+        report.crossing_faces += odd(|o| o.crossing);
+    }
+
+    /// Owners and winners of one bin, in `bench`.
+    fn hits(&self, x: u32, y: u32, bench: &mut Bench) -> Counts {
+        let (faces, rect) = (self.sheet.faces(x, y), self.sheet.samples(x, y));
+        let overlaps = self.sheet.own(&self.low, faces, rect, &mut bench.owners);
+        let (pairs, double) = match &self.finder {
+            Finder::Lines(search) => {
+                let found = search.find(&self.low, faces, rect, &bench.owners, &mut bench.winners, &mut bench.scratch);
+                (found, 0)
+            }
+            Finder::Layout(layout) => layout.find(rect, &bench.owners, &mut bench.winners),
+        };
+        Counts { overlaps, pairs, double, ..Counts::default() }
+    }
+
+    fn locator(&self) -> Locator<'_> {
+        let meeting = match &self.finder {
+            Finder::Lines(_) => Meeting::Line,
+            Finder::Layout(layout) => Meeting::Layout(layout.uv),
+        };
+        Locator::new(&self.low, self.high, meeting)
+    }
+
+    /// A row of bins: `maps`, `charts` and `covered` are its texels.
+    fn band(
+        &self,
+        y: u32,
+        evaluator: &Evaluator<'_>,
+        bench: &mut Bench,
+        maps: &mut [Rows<'_>],
+        charts: &mut [u32],
+        covered: &mut [bool],
+    ) -> Counts {
+        let mut counts = Counts::default();
+        let kinds: Vec<Kind> = evaluator.maps.iter().map(|m| m.what.kind()).collect();
+        let halved: Vec<bool> = evaluator.maps.iter().map(|m| m.what.halved(self.options.depth)).collect();
+        let tent = Tent::new(self.sheet.samples);
+        let mut locator = self.locator();
+        let steps = evaluator.needs_steps();
+        let mut texel_values = vec![[0.0; 4]; kinds.len()];
+        for x in 0..self.sheet.across {
+            if self.sheet.faces(x, y).is_empty() {
+                continue;
+            }
+            counts = counts + self.hits(x, y, bench);
+            let rect = self.sheet.samples(x, y);
+            let Bench { owners, winners, values, .. } = bench;
+            values.resize_with(kinds.len(), Vec::new);
+            values.iter_mut().for_each(|v| v.resize(owners.len(), [0.0; 4]));
+            let width = (rect.x1 - rect.x0) as usize;
+            for (index, winner) in winners.iter_mut().enumerate().filter(|(_, w)| **w != 0) {
+                let sample = [rect.x0 + (index % width) as u32, rect.y0 + (index / width) as u32];
+                let low = owners[index] as usize - 1;
+                let Some(hit) = locator.at(sample, low, *winner as usize - 1, steps) else {
+                    *winner = 0;
+                    continue;
+                };
+                for (values, map) in values.iter_mut().zip(evaluator.maps) {
+                    values[index] = evaluator.value(map, &hit);
+                }
+            }
+            let samples = Samples { rect, owners, winners, values, charts: &self.charts };
+            let texels = self.sheet.texels(x, y);
+            for ty in texels.y0..texels.y1 {
+                for tx in texels.x0..texels.x1 {
+                    let texel = samples.texel(&tent, [tx, ty], &kinds, &mut texel_values);
+                    if texel.chart == 0 {
+                        continue;
+                    }
+                    let at = (ty - texels.y0) as usize * self.sheet.size as usize + tx as usize;
+                    charts[at] = texel.chart;
+                    counts.owned += 1;
+                    let [hit, all] = texel.weight;
+                    covered[at] = hit > 0.0;
+                    if hit == 0.0 {
+                        continue;
+                    }
+                    counts.covered += 1;
+                    for (m, rows) in maps.iter_mut().enumerate() {
+                        let mut value = texel_values[m];
+                        match evaluator.maps[m].what {
+                            What::Extra(ExtraMap::Coverage) => value = [hit / all, hit / all, hit / all, 1.0],
+                            What::Role(MapRole::Normal) if self.options.space == NormalSpace::Tangent => {
+                                counts.behind += u64::from(value[2] < 0.0);
+                            }
+                            _ => {}
+                        }
+                        rows.write(at, value, kinds[m], halved[m]);
+                    }
+                }
+            }
+        }
+        counts
+    }
+}
+
+/// Which high face each texel of a sheet shows: the hit pass alone, before anything is sampled; for measuring.
+pub struct HitBuffer<'a> {
+    pass: Pass<'a>,
+    /// `[size * size]` low face + 1 that owns the texel's centre, 0 = none.
     pub low_faces: Vec<u32>,
-    /// `[size * size]` high face + 1 that is nearest to the owner's plane, 0 = none within reach.
+    /// `[size * size]` high face + 1 that won, 0 = none within reach.
     pub high_faces: Vec<u32>,
     /// Everything known so far.
     pub report: BakeReport,
 }
 
-/// The hit pass alone. `low` needs `atlas_uv`; `cage` in object units.
+/// The hit pass of the first sheet alone, one sample a texel. The finest level needs `atlas_uv`.
 ///
 /// # Errors
 /// Options out of range, missing attributes, a failing device.
 pub fn find_hits<'a>(
-    high: &'a Mesh,
-    low: &'a Mesh,
-    cage: f32,
-    options: &BakeOptions,
-    backend: Backend<'_>,
+    input: &BakeInput<'a>,
+    options: &'a BakeOptions,
+    backend: Backend<'a>,
 ) -> Result<HitBuffer<'a>, BakeError> {
-    let size = options.size;
-    let out_of_range =
-        |name, found: String, expected: &str| BakeError::Option { name, found, expected: expected.into() };
-    if size == 0 || size > BakeOptions::SIZE_MAX {
-        return Err(out_of_range("size", size.to_string(), &format!("1 to {} texels", BakeOptions::SIZE_MAX)));
-    }
-    // The negation catches NaN.
-    if !(cage > 0.0 && cage.is_finite()) {
-        return Err(out_of_range("cage", cage.to_string(), "a positive length"));
-    }
-    let atlas_uv = low.atlas_uv.as_deref().ok_or(BakeError::NoAtlas { level: 0 })?;
-    if low.normals.is_none() {
-        return Err(BakeError::NoNormals { mesh: "low" });
-    }
-    if high.normals.is_none() {
-        return Err(BakeError::NoNormals { mesh: "high" });
-    }
-    let sheet = Sheet::new(low, atlas_uv, size);
-    let search = Search::new(high, low, cage, options.back_faces, options.prefer_same_submesh);
-    let (high_faces, pairs) = match backend {
-        Backend::Cpu => mirrored_vertex::hits(&sheet, &search),
-        Backend::Gpu(gpu) => gpu::hits(gpu, &sheet, &search)?,
-    };
+    let finest = &input.low.levels.first().ok_or(BakeError::NoLevels)?.mesh;
+    let reach = reach(input.high, input.low.levels[0].error, options);
+    let pass = Pass::new(input, finest, 0, options, reach, backend)?;
+    let size = pass.sheet.size as usize;
+    let (mut low_faces, mut high_faces) = (vec![0u32; size * size], vec![0u32; size * size]);
+    let rows = pass.sheet.side as usize * size;
+    let counts = low_faces
+        .par_chunks_mut(rows)
+        .zip(high_faces.par_chunks_mut(rows))
+        .enumerate()
+        .map_init(Bench::default, |bench, (y, (low, high))| {
+            let mut counts = Counts::default();
+            for x in 0..pass.sheet.across {
+                let rect = pass.sheet.samples(x, y as u32);
+                counts = counts + pass.hits(x, y as u32, bench);
+                let width = (rect.x1 - rect.x0) as usize;
+                for (row, from) in bench.owners.chunks_exact(width).zip(bench.winners.chunks_exact(width)).enumerate() {
+                    let start = row * size + rect.x0 as usize;
+                    low[start..start + width].copy_from_slice(from.0);
+                    high[start..start + width].copy_from_slice(from.1);
+                }
+            }
+            counts
+        })
+        .reduce(Counts::default, |a, b| a + b);
     let count = |texels: &[u32]| texels.iter().filter(|t| **t != 0).count() as u64;
-    let (owned, covered) = (count(&sheet.owners), count(&high_faces));
-    let report = BakeReport {
-        backend: match backend {
-            Backend::Cpu => "cpu".into(),
-            Backend::Gpu(gpu) => gpu.class().to_string(),
-        },
-        size,
-        cage,
-        owned,
-        covered,
-        missed: owned - covered.min(owned),
-        overlapping: sheet.overlaps,
-        sliver_faces: sheet.faces.iter().filter(|f| f.frame.is_none()).count() as u64,
-        pairs,
-        ..BakeReport::default()
-    };
-    Ok(HitBuffer { high, low, atlas_uv, size, low_faces: sheet.owners, high_faces, report })
+    let counts = Counts { owned: count(&low_faces), covered: count(&high_faces), ..counts };
+    let mut report =
+        BakeReport { size: options.size, front: reach[0], back: reach[1], sheets: 1, ..BakeReport::default() };
+    pass.account(counts, &mut report);
+    Ok(HitBuffer { pass, low_faces, high_faces, report })
 }
 
 impl HitBuffer<'_> {
-    /// `[size * size]`: the texel has a hit.
-    pub fn covered(&self) -> Vec<bool> {
-        self.high_faces.iter().map(|h| *h != 0).collect()
-    }
-
-    /// `[size * size]`: the texel's centre lies in a low triangle.
-    pub fn inside(&self) -> Vec<bool> {
-        self.low_faces.iter().map(|l| *l != 0).collect()
-    }
-
     /// `[size * size]` normals of the high mesh at the hits, object space, unit length, without its normal maps; zero where
     /// nothing is hit. For measuring: full precision.
     pub fn object_normals(&self) -> Vec<Vec3> {
-        let Some(normals) = self.high.normals.as_deref() else { return Vec::new() };
-        let mut out = vec![Vec3::ZERO; self.high_faces.len()];
-        self.each_texel(&mut out, |hit, slot| {
-            let corners = self.high.triangles[hit.high].map(|v| normals[v as usize]);
-            let turn = if self.faces_away(hit) { -1.0 } else { 1.0 };
-            *slot = turn * resolve::mix3(corners, hit.high_bary).normalize_or_zero();
-        });
-        out
+        let Some(normals) = self.pass.high.normals.as_deref() else { return Vec::new() };
+        self.each(Vec3::ZERO, |hit| {
+            let corners = self.pass.high.triangles[hit.high].map(|v| normals[v as usize]);
+            let turn = if hit.turned { -1.0 } else { 1.0 };
+            turn * resolve::mix3(corners, hit.high_bary).normalize_or_zero()
+        })
     }
 
     /// `[size * size]` hit points, object space; `None` where nothing is hit.
     pub fn positions(&self) -> Vec<Option<Vec3>> {
-        let mut out = vec![None; self.high_faces.len()];
-        self.each_texel(&mut out, |hit, slot| {
-            let corners = self.high.face_positions(kiln_asset::FaceId(hit.high as u32));
-            *slot = Some(resolve::mix3(corners, hit.high_bary));
-        });
+        self.each(None, |hit| {
+            let corners = self.pass.high.face_positions(kiln_asset::FaceId(hit.high as u32));
+            Some(resolve::mix3(corners, hit.high_bary))
+        })
+    }
+
+    fn each<T: Clone + Send + Sync>(&self, nothing: T, visit: impl Fn(&resolve::HitPoint) -> T + Sync) -> Vec<T> {
+        let size = self.pass.sheet.size as usize;
+        let mut out = vec![nothing; size * size];
+        out.par_chunks_mut(size).enumerate().for_each_init(
+            || self.pass.locator(),
+            |locator, (y, row)| {
+                for (x, slot) in row.iter_mut().enumerate() {
+                    let (low, high) = (self.low_faces[y * size + x], self.high_faces[y * size + x]);
+                    if high == 0 {
+                        continue;
+                    }
+                    let sample = [x as u32, y as u32];
+                    if let Some(hit) = locator.at(sample, low as usize - 1, high as usize - 1, false) {
+                        *slot = visit(&hit);
+                    }
+                }
+            },
+        );
         out
     }
-
-    fn faces_away(&self, hit: &resolve::HitPoint) -> bool {
-        let [a, b, c] = self.low.face_positions(kiln_asset::FaceId(hit.low as u32));
-        !faces_along(self.high.face_positions(kiln_asset::FaceId(hit.high as u32)), (b - a).cross(c - a))
-    }
-
-    /// Calls `visit` for every texel with a hit, rows in parallel.
-    fn each_texel<T: Send>(&self, out: &mut [T], visit: impl Fn(&resolve::HitPoint, &mut T) + Sync) {
-        let width = self.size as usize;
-        let locator = || Locator::new(self.low, self.high, self.atlas_uv, self.size);
-        out.par_chunks_mut(width).enumerate().for_each_init(locator, |locator, (y, row)| {
-            for (x, slot) in row.iter_mut().enumerate() {
-                let (low, high) = (self.low_faces[y * width + x], self.high_faces[y * width + x]);
-                if low == 0 || high == 0 {
-                    continue;
-                }
-                if let Some(hit) = locator.at(x as u32, y as u32, low as usize - 1, high as usize - 1) {
-                    visit(&hit, slot);
-                }
-            }
-        });
-    }
-
-    /// One baked map; texels without a hit are zero.
-    fn picture(
-        &self,
-        role: MapRole,
-        source: &RoleSource<'_>,
-        groups: &Groups,
-        options: &BakeOptions,
-    ) -> Result<Raster, BakeError> {
-        let mut raster = Raster::filled(self.size, self.size, [0; 4]);
-        if role != MapRole::Normal {
-            self.each_texel(&mut raster.texels, |hit, texel| {
-                let submesh = self.low.face_submesh[hit.low].index();
-                *texel = encode(source.value(hit, groups.materials[groups.of_submesh[submesh]]), role);
-            });
-            return Ok(raster);
-        }
-        let high_normals = self.high.normals.as_deref().ok_or(BakeError::NoNormals { mesh: "high" })?;
-        let low_normals = self.low.normals.as_deref().ok_or(BakeError::NoNormals { mesh: "low" })?;
-        let object = options.space == NormalSpace::Object;
-        let low_tangents = match self.low.tangents.as_deref() {
-            None if !object => return Err(BakeError::StaleTangents { level: 0 }),
-            tangents => tangents.unwrap_or_default(),
-        };
-        self.each_texel(&mut raster.texels, |hit, texel| {
-            let normal = source.normal(hit, high_normals, self.faces_away(hit));
-            let written = if object {
-                normal
-            } else {
-                let corners = self.low.triangles[hit.low].map(|v| v as usize);
-                TangentFrame::new(corners.map(|v| low_normals[v]), corners.map(|v| low_tangents[v]), hit.low_bary)
-                    .encode(normal)
-            };
-            let [r, g, b] = written.to_array().map(|c| unorm8(0.5 * c + 0.5));
-            *texel = [r, g, b, 255];
-        });
-        Ok(raster)
-    }
 }
 
-fn encode([r, g, b, a]: [f32; 4], role: MapRole) -> [u8; 4] {
-    let [r, g, b] = [r, g, b].map(|c| if role.is_srgb() { linear_to_srgb(c) } else { unorm8(c) });
-    [r, g, b, unorm8(a)]
+fn reach(high: &Mesh, error: f32, options: &BakeOptions) -> [f32; 2] {
+    // A mesh without extent has nothing to hit, but a reach must be positive.
+    let own = (BakeOptions::REACH * error).max(BakeOptions::REACH_SHARE * high.diagonal()).max(f32::MIN_POSITIVE);
+    [options.front.unwrap_or(own), options.back.unwrap_or(own)]
 }
 
-fn kind_of(role: MapRole) -> TexelKind {
-    match role {
-        MapRole::Normal => TexelKind::Normal,
-        _ if role.is_srgb() => TexelKind::Srgb,
-        _ => TexelKind::Linear,
-    }
-}
-
-fn default_cage(high: &Mesh, error: f32) -> f32 {
-    // A mesh without extent has nothing to hit, but a cage must be positive.
-    (BakeOptions::CAGE_SHARE * high.diagonal()).max(2.0 * error).max(f32::MIN_POSITIVE)
+/// Maps that materials in use have and nobody asked for.
+fn lost_maps(asked: &[MapRole], used: &[Material]) -> Vec<MapRole> {
+    let lost = |r: &MapRole| !asked.contains(r) && used.iter().any(|m| m.map(*r).is_some());
+    MapRole::ALL.iter().copied().filter(lost).collect()
 }
 
 /// The layout's padding at the maps' size, texels, where it is less than the dilation.
@@ -309,11 +512,17 @@ fn short_padding(low: &LodSet, options: &BakeOptions) -> Option<u32> {
     (padding < options.dilation).then_some(padding)
 }
 
-/// The levels' meshes with tangents that belong to `atlas_uv`, where the bake needs any.
+/// The levels' meshes with the layout to bake into as `atlas_uv`, and tangents that belong to it where the bake needs any.
 fn dressed(low: &LodSet, options: &BakeOptions) -> Result<Vec<Mesh>, BakeError> {
     let needs_tangents = options.maps.contains(&MapRole::Normal) && options.space == NormalSpace::Tangent;
     let mut meshes = Vec::with_capacity(low.levels.len());
     for (level, Level { mesh, .. }) in low.levels.iter().enumerate() {
+        let mut mesh = mesh.clone();
+        if mesh.atlas_uv.is_none() && options.method == Method::Correspondence && mesh.uv0.is_some() {
+            let mut raw = mesh.into_raw();
+            raw.atlas_uv = raw.uv0.take();
+            mesh = Mesh::new(raw).map_err(|e| BakeError::Mesh { level, message: e.to_string() })?;
+        }
         if mesh.atlas_uv.is_none() {
             return Err(BakeError::NoAtlas { level });
         }
@@ -321,9 +530,9 @@ fn dressed(low: &LodSet, options: &BakeOptions) -> Result<Vec<Mesh>, BakeError> 
             return Err(BakeError::NoNormals { mesh: "low" });
         }
         meshes.push(match &mesh.tangents {
-            _ if !needs_tangents => mesh.clone(),
-            None => tangents::mikktspace(mesh, UvSource::AtlasUv).map_err(|e| BakeError::Tangents(e.to_string()))?,
-            Some(_) if check::tangents_follow_atlas(mesh) => mesh.clone(),
+            _ if !needs_tangents => mesh,
+            None => tangents::mikktspace(&mesh, UvSource::AtlasUv).map_err(|e| BakeError::Tangents(e.to_string()))?,
+            Some(_) if check::tangents_follow_atlas(&mesh) => mesh,
             Some(_) => return Err(BakeError::StaleTangents { level }),
         });
     }
@@ -335,6 +544,15 @@ fn redress(mesh: Mesh, groups: &Groups, drop_colors: bool) -> Result<Mesh, Strin
     let mut raw = mesh.into_raw();
     raw.uv0 = raw.atlas_uv.take();
     raw.uv1 = None;
+    if let Some(uv) = &mut raw.uv0 {
+        // Sheets lay side by side; from here on each is a texture of its own.
+        let mut shift = vec![0.0; uv.len()];
+        for (triangle, submesh) in raw.triangles.iter().zip(&raw.face_submesh) {
+            let sheet = groups.materials[groups.of_submesh[submesh.index()]].sheet;
+            triangle.iter().for_each(|v| shift[*v as usize] = sheet as f32);
+        }
+        uv.iter_mut().zip(shift).for_each(|(uv, shift)| uv.x -= shift);
+    }
     if drop_colors {
         raw.colors = None;
     }

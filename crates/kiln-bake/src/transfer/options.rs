@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use kiln_asset::{ImageId, MapRole, Raster};
+use kiln_asset::{DeepRaster, ExtraMap, ImageId, LodSet, MapRole, MaterialSet, Mesh, Raster};
 use serde::{Deserialize, Serialize};
 
 /// In which space normals are written.
@@ -16,53 +16,145 @@ pub enum NormalSpace {
     Object,
 }
 
+/// Along which directions the low surface looks for the high one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Directions {
+    /// The mean normal of each point, mixed over the face: neighbours look the same way along their common edge, so nothing is
+    /// missed or seen twice there, hard edges included.
+    #[default]
+    Smooth,
+    /// The face's normal: straight onto flat parts; jumps at every edge.
+    Face,
+    /// The normal of each vertex: as `Smooth` within smooth parts, straight onto flat parts behind hard edges, where a gap
+    /// opens.
+    Mixed,
+}
+
 /// Which of several hits on a texel's line wins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HitRule {
-    /// The one nearest to the low triangle's plane, in front or behind; equally near: the lower high face. Safe in folds;
-    /// swallows parts that float close above.
+    /// The outermost within reach: keeps parts that float above the surface; takes an overhang for the surface below it.
     #[default]
+    Outermost,
+    /// The one nearest to the low surface, in front or behind. Safe in folds; swallows parts that float close above.
     Nearest,
+}
+
+/// Which submeshes of the high mesh a submesh of the low one may show.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Matching {
+    /// Where a line meets the one of its own name, no other is looked at: keeps a lens out of the eye behind it. Where it does
+    /// not, any will do.
+    #[default]
+    Prefer,
+    /// The one of its own name only.
+    Name,
+    /// Any.
+    Any,
+}
+
+/// How a texel finds its place on the high mesh.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// Along its line: thesis section 6.3, mended.
+    #[default]
+    MirroredVertex,
+    /// At its own texture coordinates, where both meshes share a layout without overlaps: section 6.2.
+    Correspondence,
+}
+
+/// How finely maps are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Depth {
+    /// 8 bits a channel in materials; extra maps have 16, and 32 where they hold lengths or numbers.
+    #[default]
+    Eight,
+    /// 16 bits a channel, 32 for lengths and numbers.
+    Sixteen,
+    /// 32-bit floats.
+    Float,
+}
+
+/// Where occlusion comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum OcclusionSource {
+    /// The source's maps.
+    #[default]
+    Source,
+    /// Rays against the high mesh.
+    Rays,
+    /// Both, multiplied.
+    Both,
 }
 
 /// How to bake. Every field has a default.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, rename_all = "kebab-case")]
 pub struct BakeOptions {
-    /// Which maps to write; each once, in the order of [`MapRole::ALL`] whatever the order here. Occlusion and emission
-    /// are left out where no material has any.
+    /// Which maps of materials to write; each once, in the order of [`MapRole::ALL`] whatever the order here. Occlusion and
+    /// emission are left out where no material has any.
     pub maps: Vec<MapRole>,
+    /// Which other maps to write.
+    pub extras: Vec<ExtraMap>,
+    /// How a texel finds its place.
+    pub method: Method,
     /// Space of the normal map.
     pub space: NormalSpace,
     /// Width and height of the maps, texels, 1 to 16384.
     pub size: u32,
+    /// Samples a texel has on each side: 1, 2, 4 or 8. More than one are weighted by a tent of one texel's radius.
+    pub samples: u32,
+    /// How finely maps are written.
+    pub depth: Depth,
     /// Width of the filled band around charts, texels.
     pub dilation: u32,
-    /// Cage distance: how far from a low triangle's plane the high mesh is looked for, object units. `None`: 2 % of the
-    /// high mesh's diagonal or twice the finest level's error, whichever is more. Nearest hits make a generous distance
-    /// cheap in quality; it costs candidates.
-    pub cage: Option<f32>,
+    /// Where lines look.
+    pub directions: Directions,
     /// Which hit wins.
     pub hit: HitRule,
+    /// How far in front of the low surface the high one is looked for, object units. `None`: [`BakeOptions::REACH`] times the
+    /// finest level's error, at least [`BakeOptions::REACH_SHARE`] of the high mesh's diagonal.
+    pub front: Option<f32>,
+    /// Likewise behind.
+    pub back: Option<f32>,
     /// Take high faces that face away from the low triangle too; their normals are turned.
     pub back_faces: bool,
-    /// Where a line meets the high submesh of the low submesh's name, other submeshes are not looked at: keeps a lens out
-    /// of the eye behind it. Where it does not, any submesh will do.
-    pub prefer_same_submesh: bool,
+    /// Which submeshes go together.
+    pub matching: Matching,
+    /// Where the occlusion map comes from.
+    pub occlusion: OcclusionSource,
+    /// Rays for each sample's ambient occlusion and bent normal, 1 to 4096.
+    pub rays: u32,
+    /// How far those rays go, object units. `None`: the high mesh's diagonal.
+    pub ray_length: Option<f32>,
 }
 
 impl Default for BakeOptions {
     fn default() -> Self {
         BakeOptions {
             maps: vec![MapRole::BaseColor, MapRole::Normal],
+            extras: Vec::new(),
+            method: Method::default(),
             space: NormalSpace::Tangent,
             size: 2048,
+            samples: 1,
+            depth: Depth::default(),
             dilation: 8,
-            cage: None,
-            hit: HitRule::Nearest,
+            directions: Directions::default(),
+            hit: HitRule::default(),
+            front: None,
+            back: None,
             back_faces: false,
-            prefer_same_submesh: true,
+            matching: Matching::default(),
+            occlusion: OcclusionSource::default(),
+            rays: 64,
+            ray_length: None,
         }
     }
 }
@@ -71,8 +163,11 @@ impl BakeOptions {
     /// Greatest map, texels a side.
     pub const SIZE_MAX: u32 = 16384;
 
-    /// Share of the high mesh's diagonal that the cage distance is at least, where none is given.
-    pub const CAGE_SHARE: f32 = 0.02;
+    /// Reach in units of the finest level's greatest distance from the source.
+    pub const REACH: f32 = 1.5;
+
+    /// Share of the high mesh's diagonal that the reach is at least, where none is given.
+    pub const REACH_SHARE: f32 = 1e-3;
 }
 
 /// Who looks for hits.
@@ -88,6 +183,53 @@ pub enum Backend<'a> {
 /// images that a baked map reads.
 pub type Images<'a> = dyn Fn(ImageId) -> Result<Arc<Raster>, String> + 'a;
 
+/// What is baked from what.
+#[derive(Clone, Copy)]
+pub struct BakeInput<'a> {
+    /// The mesh that is carried over; needs normals.
+    pub high: &'a Mesh,
+    /// The levels that get maps, finest first; each needs normals and `atlas_uv` (for correspondence `uv0` will do).
+    pub low: &'a LodSet,
+    /// Materials of both.
+    pub materials: &'a MaterialSet,
+    /// Their pictures.
+    pub images: &'a (dyn Fn(ImageId) -> Result<Arc<Raster>, String> + 'a),
+    /// A surface around the low mesh: how far in front of each point is looked, instead of [`BakeOptions::front`].
+    pub cage: Option<&'a Mesh>,
+}
+
+/// What a bake made.
+#[derive(Clone, Debug, Default)]
+pub struct Baked {
+    /// The levels in their new UVs and materials.
+    pub levels: LodSet,
+    /// Those materials.
+    pub materials: MaterialSet,
+    /// `[materials.images.len()]`.
+    pub pictures: Vec<Picture>,
+    /// What happened.
+    pub report: BakeReport,
+}
+
+/// A baked picture.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Picture {
+    /// 8 bits a channel.
+    Plain(Raster),
+    /// More.
+    Deep(DeepRaster),
+}
+
+impl Picture {
+    /// Its bytes for the private cache.
+    pub fn to_blob(&self) -> Vec<u8> {
+        match self {
+            Picture::Plain(raster) => raster.to_blob(),
+            Picture::Deep(raster) => raster.to_blob(),
+        }
+    }
+}
+
 /// What the bake did.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BakeReport {
@@ -95,8 +237,12 @@ pub struct BakeReport {
     pub backend: String,
     /// Width and height of the maps, texels.
     pub size: u32,
-    /// Cage distance used, object units.
-    pub cage: f32,
+    /// How far in front of the low surface was looked, object units.
+    pub front: f32,
+    /// How far behind.
+    pub back: f32,
+    /// Sheets of the atlas.
+    pub sheets: u32,
     /// Texels whose centre lies in a low triangle.
     pub owned: u64,
     /// Texels with a hit.
@@ -107,6 +253,12 @@ pub struct BakeReport {
     pub overlapping: u64,
     /// Low faces too thin for a normal; their texels are missed.
     pub sliver_faces: u64,
+    /// Low faces without area on the sheet: nothing can be baked for them.
+    pub flat_faces: u64,
+    /// Low faces that went by their own normal, since a point's normal lies across them.
+    pub steep_faces: u64,
+    /// Low faces whose lines cross within reach: looked at up to there only.
+    pub crossing_faces: u64,
     /// Pairs of a low and a high face that were looked at.
     pub pairs: u64,
     /// Texels of a tangent-space normal map whose normal lies behind the low mesh's shading normal: right only where the
@@ -114,6 +266,8 @@ pub struct BakeReport {
     pub behind: u64,
     /// Maps written.
     pub maps: Vec<MapRole>,
+    /// Other maps written.
+    pub extras: Vec<ExtraMap>,
     /// Maps asked for that no material says anything in.
     pub neutral_maps: Vec<MapRole>,
     /// Maps that materials in use have and nobody asked for: they are gone, since the old layout is.
@@ -158,6 +312,9 @@ pub enum BakeError {
         /// The level.
         level: usize,
     },
+    /// The layouts of the two meshes do not correspond.
+    #[error("correspondence: {0}")]
+    Layouts(String),
     /// MikkTSpace failed.
     #[error("tangents: {0}")]
     Tangents(String),

@@ -1,12 +1,13 @@
-//! From ids to values: where on the high triangle a texel's line meets it, and the normal there. Shared by both backends, so
-//! that a graphics card decides winners and nothing else.
+//! From ids to places: where on the high triangle a sample's line meets it. Shared by all backends, so that a graphics card decides
+//! winners and nothing else.
 
-use glam::{DVec2, Vec2, Vec3, Vec4};
+use glam::{DVec2, DVec3, Vec2, Vec3, Vec4};
 use kiln_asset::{FaceId, Mesh};
 
-use super::frame::{TexelMap, corner_texels};
+use super::low::{Lines, Low};
+use super::search::Target;
 
-/// The line through a texel's centre along its low triangle's normal, and the high triangle it ends on.
+/// A sample's place on the low mesh and on the high one.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct HitPoint {
     /// Low face.
@@ -17,14 +18,18 @@ pub(crate) struct HitPoint {
     pub(crate) low_bary: [f32; 3],
     /// Barycentric coordinates on the high face, inside it.
     pub(crate) high_bary: [f32; 3],
-    /// Change of `high_bary` from one texel to the next in x, before it is moved inside.
+    /// Change of `high_bary` from one sample to the next in x, before it is moved inside.
     pub(crate) step_x: [f32; 3],
     /// Likewise in y.
     pub(crate) step_y: [f32; 3],
+    /// Signed distance of the high surface along the line, object units, outwards positive.
+    pub(crate) height: f32,
+    /// The high face looks against the line.
+    pub(crate) turned: bool,
 }
 
 impl HitPoint {
-    /// The value of a vertex attribute at the hit: linear over the high face.
+    /// The value of a vertex attribute at the hit, and its change from sample to sample in x and y: linear over the high face.
     pub(crate) fn uv(&self, high: &Mesh, uv: &[Vec2]) -> (Vec2, Vec2, Vec2) {
         let corner = high.triangles[self.high].map(|v| uv[v as usize]);
         let mix = |b: [f32; 3]| corner[0] * b[0] + corner[1] * b[1] + corner[2] * b[2];
@@ -32,19 +37,28 @@ impl HitPoint {
     }
 }
 
-/// Finds hit points; keeps the last pair's maps, since neighbours mostly share them.
-pub(crate) struct Locator<'a> {
-    low: &'a Mesh,
-    high: &'a Mesh,
-    atlas_uv: &'a [Vec2],
-    size: u32,
-    low_face: usize,
-    low_map: Option<(TexelMap, Plane)>,
-    high_face: usize,
-    high_map: Plane,
+/// How a sample finds its place on the high face that won it.
+#[derive(Clone, Copy)]
+pub(crate) enum Meeting<'a> {
+    /// Along its line.
+    Line,
+    /// At its own texture coordinates, in the high mesh's layout.
+    Layout(&'a [Vec2]),
 }
 
-/// Barycentric coordinates as affine functions of the texel.
+/// Finds hit points; keeps the last pair's functions, since neighbours mostly share them.
+pub(crate) struct Locator<'a> {
+    low: &'a Low<'a>,
+    high: &'a Mesh,
+    meeting: Meeting<'a>,
+    low_face: usize,
+    lines: Option<Lines>,
+    high_face: usize,
+    target: Option<Target>,
+    flat: Plane,
+}
+
+/// Barycentric coordinates in a layout, as affine functions of the place.
 #[derive(Clone, Copy)]
 struct Plane {
     corner: DVec2,
@@ -53,69 +67,105 @@ struct Plane {
 }
 
 impl Plane {
-    /// Of a triangle in texel space; `None` if it is seen edge on.
-    fn new([q0, q1, q2]: [DVec2; 3]) -> Option<Plane> {
+    fn new([q0, q1, q2]: [DVec2; 3]) -> Plane {
         let (e1, e2) = (q1 - q0, q2 - q0);
         let area = e1.perp_dot(e2);
-        let plane = Plane { corner: q0, row1: DVec2::new(e2.y, -e2.x) / area, row2: DVec2::new(-e1.y, e1.x) / area };
-        (plane.row1.is_finite() && plane.row2.is_finite()).then_some(plane)
+        Plane { corner: q0, row1: DVec2::new(e2.y, -e2.x) / area, row2: DVec2::new(-e1.y, e1.x) / area }
     }
 
-    /// The middle of a triangle that is seen edge on.
-    const EDGE_ON: Plane = Plane { corner: DVec2::ZERO, row1: DVec2::ZERO, row2: DVec2::ZERO };
-
-    fn at(&self, centre: DVec2) -> [f64; 3] {
-        let d = centre - self.corner;
+    fn at(&self, place: DVec2) -> [f64; 3] {
+        let d = place - self.corner;
         let (b1, b2) = (self.row1.dot(d), self.row2.dot(d));
         [1.0 - b1 - b2, b1, b2]
-    }
-
-    fn step(&self, axis: DVec2) -> [f32; 3] {
-        let (b1, b2) = (self.row1.dot(axis), self.row2.dot(axis));
-        [-(b1 + b2) as f32, b1 as f32, b2 as f32]
     }
 }
 
 impl<'a> Locator<'a> {
-    pub(crate) fn new(low: &'a Mesh, high: &'a Mesh, atlas_uv: &'a [Vec2], size: u32) -> Locator<'a> {
-        let none = usize::MAX;
-        Locator { low, high, atlas_uv, size, low_face: none, low_map: None, high_face: none, high_map: Plane::EDGE_ON }
+    pub(crate) fn new(low: &'a Low<'a>, high: &'a Mesh, meeting: Meeting<'a>) -> Locator<'a> {
+        let nowhere = Plane { corner: DVec2::ZERO, row1: DVec2::ZERO, row2: DVec2::ZERO };
+        Locator {
+            low,
+            high,
+            meeting,
+            low_face: usize::MAX,
+            lines: None,
+            high_face: usize::MAX,
+            target: None,
+            flat: nowhere,
+        }
     }
 
-    /// The hit point of texel `(x, y)`, which low face `low` owns and whose hit lies on high face `high`.
-    pub(crate) fn at(&mut self, x: u32, y: u32, low: usize, high: usize) -> Option<HitPoint> {
+    /// The hit of a sample (column, row on the sheet of samples) of `low` whose winner is `high`. With `steps` its change over a
+    /// sample is worked out too. `None`: the low face has no lines.
+    pub(crate) fn at(&mut self, sample: [u32; 2], low: usize, high: usize, steps: bool) -> Option<HitPoint> {
         if self.low_face != low {
-            let texels = corner_texels(self.low, self.atlas_uv, low, self.size);
-            let map = TexelMap::new(self.low.face_positions(FaceId(low as u32)), texels);
-            self.low_map = map.zip(Plane::new(texels.map(|t| t.as_dvec2())));
+            self.lines = self.low.lines(low);
             self.low_face = low;
             self.high_face = usize::MAX;
         }
-        let (map, plane) = self.low_map.as_ref()?;
+        let lines = self.lines.as_ref()?;
         if self.high_face != high {
-            let corners = self.high.face_positions(FaceId(high as u32)).map(|p| map.texel(p));
-            self.high_map = Plane::new(corners).unwrap_or(Plane::EDGE_ON);
+            let corners = self.high.face_positions(FaceId(high as u32)).map(|p| p.as_dvec3() - lines.base);
+            self.target = Some(Target::new(lines, corners));
+            if let Meeting::Layout(uv) = self.meeting {
+                self.flat = Plane::new(self.high.triangles[high].map(|v| uv[v as usize].as_dvec2()));
+            }
             self.high_face = high;
         }
-        let centre = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+        let target = self.target.as_ref()?;
+        let samples = self.low.samples;
+        let place = lines.place(sample, samples);
+        let step = 1.0 / f64::from(samples);
+        let on_high = |place: DVec2| match self.meeting {
+            Meeting::Line => target.meet(place).bary,
+            Meeting::Layout(_) => {
+                let pixel = DVec2::new(f64::from(lines.pixel[0]), f64::from(lines.pixel[1]));
+                self.flat.at((place + pixel) / f64::from(self.low.size))
+            }
+        };
+        let (_, direction) = lines.line(place);
+        let meet = target.meet(place);
+        let bary = on_high(place);
+        let (step_x, step_y) = if steps {
+            let change = |other: [f64; 3]| [0, 1, 2].map(|k| (other[k] - bary[k]) as f32);
+            (change(on_high(place + step * DVec2::X)), change(on_high(place + step * DVec2::Y)))
+        } else {
+            ([0.0; 3], [0.0; 3])
+        };
+        let height = match self.meeting {
+            Meeting::Line => (meet.t * direction.length()) as f32,
+            Meeting::Layout(_) => self.offset(lines, place, high, bary, direction),
+        };
         Some(HitPoint {
             low,
             high,
-            low_bary: plane.at(centre).map(|b| b as f32),
-            high_bary: inside(self.high_map.at(centre)),
-            step_x: self.high_map.step(DVec2::X),
-            step_y: self.high_map.step(DVec2::Y),
+            low_bary: lines.bary(place).map(|b| b as f32),
+            high_bary: inside(bary),
+            step_x: step_x.map(finite),
+            step_y: step_y.map(finite),
+            height: finite(height),
+            turned: meet.turned,
         })
+    }
+
+    /// How far a place on the high face lies from the low one's, along the line's direction.
+    fn offset(&self, lines: &Lines, place: DVec2, high: usize, bary: [f64; 3], direction: DVec3) -> f32 {
+        let corners = self.high.face_positions(FaceId(high as u32)).map(|p| p.as_dvec3() - lines.base);
+        let point = corners[0] * bary[0] + corners[1] * bary[1] + corners[2] * bary[2];
+        (point - lines.line(place).0).dot(direction.normalize_or_zero()) as f32
     }
 }
 
-/// Barycentric coordinates moved into the triangle: the winner was found with corners snapped to 1/256 texel.
+fn finite(value: f32) -> f32 {
+    if value.is_finite() { value } else { 0.0 }
+}
+
+/// Barycentric coordinates moved into the triangle: winners are found with edges opened by their rounding.
 fn inside(bary: [f64; 3]) -> [f32; 3] {
     let clamped = bary.map(|b| b.max(0.0));
     let sum: f64 = clamped.iter().sum();
     if sum > 0.0 && sum.is_finite() { clamped.map(|b| (b / sum) as f32) } else { [1.0 / 3.0; 3] }
 }
-
 /// `values[corner]` mixed by `bary`.
 pub(crate) fn mix3(values: [Vec3; 3], bary: [f32; 3]) -> Vec3 {
     values[0] * bary[0] + values[1] * bary[1] + values[2] * bary[2]

@@ -11,8 +11,10 @@ use kiln_asset::{
 use super::models::*;
 use super::*;
 use crate::tangents::{UvSource, mikktspace};
+use crate::transfer::low::Low;
 use crate::transfer::resolve::TangentFrame;
-use crate::transfer::{Backend, BakeError, bake, check};
+use crate::transfer::resolve::{Locator, Meeting};
+use crate::transfer::{Backend, BakeError, Matching, check};
 
 /// A set of one material that `shape` fills in, with `count` images, one texture each, sampled as `sampler`.
 fn one_material(count: u32, sampler: Sampler, shape: impl FnOnce(&mut Material)) -> MaterialSet {
@@ -24,6 +26,7 @@ fn one_material(count: u32, sampler: Sampler, shape: impl FnOnce(&mut Material))
         images: (0..count)
             .map(|i| ImageInfo { name: format!("image {i}"), format: ImageFormat::Png, hash: [i as u8; 32] })
             .collect(),
+        ..MaterialSet::default()
     }
 }
 
@@ -40,7 +43,7 @@ fn checker(size: u32) -> Arc<Raster> {
 fn hills_over_a_plane_give_their_slopes_in_tangent_space() {
     let high = valid(hills(200, 0.02, 2.0));
     let low = one_level(plane(0.0, upright), 128, 8);
-    let options = normals_only(128, NormalSpace::Tangent);
+    let options = within(0.05, &normals_only(128, NormalSpace::Tangent));
     let (_, _, maps, report) = bake(&high, &low, &MaterialSet::default(), &no_images, &options, Backend::Cpu).unwrap();
     assert_eq!((report.covered, report.missed), (128 * 128, 0));
     let w = 2.0 * std::f32::consts::TAU;
@@ -68,19 +71,28 @@ fn tangent_space_read_back_gives_the_object_space_normals_on_mirrored_charts_too
         let low = mikktspace(&valid(raw), UvSource::AtlasUv).unwrap();
         let set = one_level(low.clone(), 64, 8);
         let go = |space| {
-            bake(&high, &set, &MaterialSet::default(), &no_images, &normals_only(64, space), Backend::Cpu).unwrap()
+            bake(
+                &high,
+                &set,
+                &MaterialSet::default(),
+                &no_images,
+                &within(0.05, &normals_only(64, space)),
+                Backend::Cpu,
+            )
+            .unwrap()
         };
         let (tangent, object) = (go(NormalSpace::Tangent).2, go(NormalSpace::Object).2);
-        let hits =
-            crate::transfer::find_hits(&high, &low, 0.1, &normals_only(64, NormalSpace::Object), Backend::Cpu).unwrap();
-        let mut locator = crate::transfer::resolve::Locator::new(&low, &high, low.atlas_uv.as_ref().unwrap(), 64);
+        let options = within(0.1, &normals_only(64, NormalSpace::Object));
+        let hits = find(&high, &low, &options, Backend::Cpu).unwrap();
+        let lines = Low::new(&low, low.atlas_uv.as_ref().unwrap(), 0, &options, [0.1; 2]);
+        let mut locator = Locator::new(&lines, &high, Meeting::Line);
         let mut compared = 0;
         for texel in 0..64 * 64 {
             let (l, h) = (hits.low_faces[texel] as usize, hits.high_faces[texel] as usize);
             if h == 0 {
                 continue;
             }
-            let hit = locator.at(texel as u32 % 64, texel as u32 / 64, l - 1, h - 1).unwrap();
+            let hit = locator.at([texel as u32 % 64, texel as u32 / 64], l - 1, h - 1, false).unwrap();
             let corners = low.triangles[hit.low].map(|v| v as usize);
             let normals = corners.map(|v| low.normals.as_ref().unwrap()[v]);
             let tangents = corners.map(|v| low.tangents.as_ref().unwrap()[v]);
@@ -162,7 +174,8 @@ fn the_sources_normal_map_bends_the_baked_normals() {
         }
         let low = one_level(plane(0.0, upright), 16, 8);
         let (_, _, maps, _) =
-            bake(&high, &low, &set, &give, &normals_only(16, NormalSpace::Tangent), Backend::Cpu).unwrap();
+            bake(&high, &low, &set, &give, &within(0.05, &normals_only(16, NormalSpace::Tangent)), Backend::Cpu)
+                .unwrap();
         for texel in &maps[0].texels {
             let angle = degrees(decoded(*texel), Vec3::new(0.0, 0.6, 0.8));
             assert!(angle < 1.0, "{texel:?} is {angle} degrees off");
@@ -243,9 +256,12 @@ fn a_part_close_by_does_not_bleed_into_its_neighbour() {
     let high = valid(raw);
     let paint = |r, g| Material { base_color_factor: [r, g, 0.0, 1.0], ..Material::default() };
     let set = MaterialSet { materials: vec![paint(1.0, 0.0), paint(0.0, 1.0)], ..MaterialSet::default() };
-    for (prefer_same_submesh, right) in [(true, [0, 255, 0, 255]), (false, [255, 0, 0, 255])] {
-        let options =
-            BakeOptions { maps: vec![MapRole::BaseColor], size: 16, prefer_same_submesh, ..BakeOptions::default() };
+    for (matching, right) in
+        [(Matching::Prefer, [0, 255, 0, 255]), (Matching::Name, [0, 255, 0, 255]), (Matching::Any, [255, 0, 0, 255])]
+    {
+        let hit = HitRule::Nearest;
+        let options = BakeOptions { maps: vec![MapRole::BaseColor], size: 16, matching, hit, ..BakeOptions::default() };
+        let options = within(0.05, &options);
         let (_, _, maps, _) = bake(&high, &low, &set, &no_images, &options, Backend::Cpu).unwrap();
         assert_eq!(maps[0].texels[8 * 16 + 4], [255, 0, 0, 255]);
         assert_eq!(maps[0].texels[8 * 16 + 12], right);

@@ -5,18 +5,21 @@ use kiln_asset::{FaceId, Mesh};
 
 use super::models::*;
 use super::*;
-use crate::transfer::frame::corner_texels;
-use crate::transfer::{Backend, BakeError, find_hits};
+use crate::transfer::{Backend, BakeError};
+
+fn corner_texels(low: &Mesh, uv: &[Vec2], face: usize, size: u32) -> [Vec2; 3] {
+    low.triangles[face].map(|v| uv[v as usize] * size as f32)
+}
 
 #[test]
 fn a_spheres_normals_are_the_analytic_ones_within_half_a_degree() {
     let high = valid(sphere(128, 64));
     let low = charted(&sphere(12, 8));
-    let hits = find_hits(&high, &low, 0.2, &normals_only(512, NormalSpace::Object), Backend::Cpu).unwrap();
+    let hits = find(&high, &low, &within(0.2, &normals_only(512, NormalSpace::Object)), Backend::Cpu).unwrap();
     assert!(hits.report.covered > 100_000, "{:?}", hits.report);
     assert_eq!(hits.report.missed, 0);
     assert_eq!(hits.report.overlapping, 0);
-    for (normal, position) in hits.object_normals().iter().zip(hits.positions()) {
+    for (normal, position) in hits.normals.iter().zip(hits.positions) {
         let Some(position) = position else { continue };
         let angle = degrees(*normal, position);
         assert!(angle < 0.5, "{angle} degrees at {position}");
@@ -56,9 +59,9 @@ fn hits_are_the_points_nearest_to_the_low_plane() {
     let high = valid(both(torus(60, 30, 0.05), cube(Vec3::new(1.0, 0.1, 0.0), 0.45)));
     let low = charted(&both(torus(10, 6, 0.0), cube(Vec3::new(1.0, 0.1, 0.0), 0.47)));
     let cage = 0.3;
-    let hits = find_hits(&high, &low, cage, &normals_only(96, NormalSpace::Object), Backend::Cpu).unwrap();
+    let hits = find(&high, &low, &within(cage, &normals_only(96, NormalSpace::Object)), Backend::Cpu).unwrap();
     let (mut compared, mut differ) = (0, 0);
-    for (texel, (found, owner)) in hits.positions().iter().zip(&hits.low_faces).enumerate() {
+    for (texel, (found, owner)) in hits.positions.iter().zip(&hits.low_faces).enumerate() {
         if *owner == 0 {
             assert!(found.is_none());
             continue;
@@ -88,7 +91,7 @@ fn front_and_behind_count_alike_and_equal_distances_go_to_the_lower_face() {
         [([0.1, -0.05], 1), ([0.05, -0.1], 0), ([0.1, -0.1], 0), ([-0.1, 0.1], 0), ([0.1, 0.1], 0)]
     {
         let high = valid(both(sheet_at(heights[0]), sheet_at(heights[1])));
-        let hits = find_hits(&high, &low, 0.5, &normals_only(16, NormalSpace::Object), Backend::Cpu).unwrap();
+        let hits = find(&high, &low, &within(0.5, &normals_only(16, NormalSpace::Object)), Backend::Cpu).unwrap();
         for high_face in &hits.high_faces {
             assert_eq!((high_face - 1) / 2, nearest, "heights {heights:?}");
         }
@@ -106,7 +109,7 @@ fn the_cage_and_the_facing_rule_leave_texels_without_a_hit() {
     };
     let options = normals_only(16, NormalSpace::Object);
     let covered = |high: &Mesh, options: &BakeOptions| {
-        let hits = find_hits(high, &low, 0.1, options, Backend::Cpu).unwrap();
+        let hits = find(high, &low, &within(0.1, options), Backend::Cpu).unwrap();
         assert_eq!(hits.report.covered + hits.report.missed, 256);
         hits.report.covered
     };
@@ -128,7 +131,7 @@ fn the_cage_and_the_facing_rule_leave_texels_without_a_hit() {
 fn a_texel_has_one_owner_and_overlapping_layouts_are_counted() {
     let low = plane(0.0, upright);
     let options = normals_only(33, NormalSpace::Object);
-    let hits = find_hits(&low, &low, 0.1, &options, Backend::Cpu).unwrap();
+    let hits = find(&low, &low, &within(0.1, &options), Backend::Cpu).unwrap();
     assert_eq!((hits.report.owned, hits.report.overlapping), (33 * 33, 0));
     let mut raw = low.clone().into_raw();
     // The second triangle's corners fall on the first one's texels.
@@ -136,7 +139,7 @@ fn a_texel_has_one_owner_and_overlapping_layouts_are_counted() {
     let double = uv[1];
     uv[3] = double;
     let folded = valid(raw);
-    let hits = find_hits(&low, &folded, 0.1, &options, Backend::Cpu).unwrap();
+    let hits = find(&low, &folded, &within(0.1, &options), Backend::Cpu).unwrap();
     assert!(hits.report.owned > 500);
     assert_eq!(hits.report.overlapping, hits.report.owned);
     assert!(hits.low_faces.iter().all(|f| *f <= 1), "the lower face owns");
@@ -150,8 +153,8 @@ fn one_and_four_threads_give_the_same_hits() {
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let hits = find_hits(&high, &low, 0.3, &options, Backend::Cpu).unwrap();
-            let bits: Vec<[u32; 3]> = hits.object_normals().iter().map(|n| n.to_array().map(f32::to_bits)).collect();
+            let hits = find(&high, &low, &within(0.3, &options), Backend::Cpu).unwrap();
+            let bits: Vec<[u32; 3]> = hits.normals.iter().map(|n| n.to_array().map(f32::to_bits)).collect();
             (hits.low_faces, hits.high_faces, bits)
         })
     };
@@ -162,12 +165,19 @@ fn one_and_four_threads_give_the_same_hits() {
 fn options_out_of_range_are_named() {
     let low = plane(0.0, upright);
     let options = |size| normals_only(size, NormalSpace::Object);
-    for (size, cage, name) in
-        [(0, 0.1, "size"), (16385, 0.1, "size"), (8, 0.0, "cage"), (8, f32::NAN, "cage"), (8, -1.0, "cage")]
-    {
-        match find_hits(&low, &low, cage, &options(size), Backend::Cpu) {
+    let samples = BakeOptions { samples: 3, ..options(8) };
+    for (options, name) in [
+        (within(0.1, &options(0)), "size"),
+        (within(0.1, &options(16385)), "size"),
+        (within(0.0, &options(8)), "front"),
+        (within(f32::NAN, &options(8)), "front"),
+        (within(-1.0, &options(8)), "front"),
+        (within(0.1, &samples), "samples"),
+        (BakeOptions { rays: 0, ..within(0.1, &options(8)) }, "rays"),
+    ] {
+        match find(&low, &low, &options, Backend::Cpu) {
             Err(BakeError::Option { name: found, .. }) => assert_eq!(found, name),
-            _ => panic!("size {size}, cage {cage} went through"),
+            _ => panic!("{options:?} went through"),
         }
     }
 }

@@ -194,6 +194,7 @@ impl Mesh {
     }
 
     /// The three positions of a face, object space.
+    #[inline]
     pub fn face_positions(&self, face: FaceId) -> [Vec3; 3] {
         self.raw.triangles[face.index()].map(|v| self.raw.positions[v as usize])
     }

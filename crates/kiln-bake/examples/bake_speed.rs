@@ -9,7 +9,7 @@ use std::time::Instant;
 use glam::Vec3;
 use kiln_asset::{Level, LodSet, MapRole, MaterialSet, Mesh, RawMesh, Submesh, SubmeshId};
 use kiln_bake::atlas::{AtlasOptions, Uvunwrap, unwrap};
-use kiln_bake::transfer::{Backend, BakeOptions, NormalSpace, bake, find_hits};
+use kiln_bake::transfer::{Backend, BakeInput, BakeOptions, Directions, NormalSpace, bake, find_hits};
 use kiln_geom::math::{cos, sin};
 
 /// A closed torus of `2 * columns * rows` triangles, radii 1 and 0.4, the tube `bump` thicker and thinner in waves.
@@ -47,29 +47,38 @@ fn main() -> Result<(), Box<dyn Error>> {
     let atlas = AtlasOptions { size, padding: 8, ..AtlasOptions::default() };
     let (level, layout, _) = unwrap(&level, &atlas, &Uvunwrap::default())?;
     let low = LodSet { source_triangles: high.face_count() as u32, layout: Some(layout), levels: vec![level] };
-    let options =
-        BakeOptions { maps: vec![MapRole::Normal], space: NormalSpace::Object, size, ..BakeOptions::default() };
+    let set = MaterialSet::default();
+    let input = || BakeInput { high: &high, low: &low, materials: &set, images: &|_| Err(String::new()), cage: None };
+    let reach = Some(0.02 * high.diagonal());
+    let directions = if arguments.iter().any(|a| a == "face") { Directions::Face } else { Directions::Smooth };
     for threads in [1, 2] {
+        let options = BakeOptions {
+            maps: vec![MapRole::Normal],
+            space: NormalSpace::Object,
+            size,
+            directions,
+            front: reach,
+            back: reach,
+            ..BakeOptions::default()
+        };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
         let mut seconds = Vec::new();
         let mut hit_seconds = Vec::new();
         let mut report = None;
         for _ in 0..5 {
             let start = Instant::now();
-            let cage = BakeOptions::CAGE_SHARE * high.diagonal();
-            pool.install(|| find_hits(&high, &low.levels[0].mesh, cage, &options, backend()).map(|_| ()))?;
+            pool.install(|| find_hits(&input(), &options, backend()).map(|_| ()))?;
             hit_seconds.push(start.elapsed().as_secs_f64());
             let start = Instant::now();
-            let no_images = |_| Err("no pictures".to_owned());
-            let out = pool.install(|| bake(&high, &low, &MaterialSet::default(), &no_images, &options, backend()))?;
+            let out = pool.install(|| bake(&input(), &options, backend()))?;
             seconds.push(start.elapsed().as_secs_f64());
-            report = Some(out.3);
+            report = Some(out.report);
         }
         seconds.sort_by(f64::total_cmp);
         hit_seconds.sort_by(f64::total_cmp);
         let megatexels = size as f64 * size as f64 / 1e6;
         eprintln!(
-            "{} -> {} triangles, {size} x {size}, {threads} threads: {:.3} s ({:.3}-{:.3}; hits alone {:.3}), {:.2} Mtexel/s of the whole map",
+            "{directions:?} {} -> {} triangles, {size} x {size}, {threads} threads: {:.3} s ({:.3}-{:.3}; hits alone {:.3}), {:.2} Mtexel/s of the whole map",
             high.face_count(),
             low.levels[0].mesh.face_count(),
             seconds[2],

@@ -325,6 +325,11 @@ impl<'a> Pass<'a> {
         Locator::new(&self.low, self.high, meeting)
     }
 
+    /// Whether a normal lies behind the low mesh's shading normal.
+    fn is_behind(&self, what: What, value: [f32; 4]) -> bool {
+        what == What::Role(MapRole::Normal) && self.options.space == NormalSpace::Tangent && value[2] < 0.0
+    }
+
     /// A row of bins: `maps`, `charts` and `covered` are its texels.
     fn band(
         &self,
@@ -337,7 +342,6 @@ impl<'a> Pass<'a> {
     ) -> Counts {
         let mut counts = Counts::default();
         let kinds: Vec<Kind> = evaluator.maps.iter().map(|m| m.what.kind()).collect();
-        let halved: Vec<bool> = evaluator.maps.iter().map(|m| m.what.halved(self.options.depth)).collect();
         let tent = Tent::new(self.sheet.samples);
         let mut locator = self.locator();
         let steps = evaluator.needs_steps();
@@ -349,13 +353,35 @@ impl<'a> Pass<'a> {
             counts = counts + self.hits(x, y, bench);
             let rect = self.sheet.samples(x, y);
             let Bench { owners, winners, values, .. } = bench;
+            let width = (rect.x1 - rect.x0) as usize;
+            let mut hit_at = |index: usize, winner: u32| {
+                let sample = [rect.x0 + (index % width) as u32, rect.y0 + (index / width) as u32];
+                locator.at(sample, owners[index] as usize - 1, winner as usize - 1, steps)
+            };
+            let texels = self.sheet.texels(x, y);
+            let at = |tx: u32, ty: u32| (ty - texels.y0) as usize * self.sheet.size as usize + tx as usize;
+            if self.sheet.samples == 1 {
+                // Samples are texels: nothing to be filtered.
+                for (index, owner) in owners.iter().enumerate().filter(|(_, o)| **o != 0) {
+                    let at = at(rect.x0 + (index % width) as u32, rect.y0 + (index / width) as u32);
+                    charts[at] = self.charts[*owner as usize - 1] + 1;
+                    counts.owned += 1;
+                    let hit = if winners[index] == 0 { None } else { hit_at(index, winners[index]) };
+                    let Some(hit) = hit else { continue };
+                    covered[at] = true;
+                    counts.covered += 1;
+                    for (map, rows) in evaluator.maps.iter().zip(maps.iter_mut()) {
+                        let value = evaluator.value(map, &hit);
+                        counts.behind += u64::from(self.is_behind(map.what, value));
+                        rows.write(at, value, map.what.kind(), map.what.halved(self.options.depth));
+                    }
+                }
+                continue;
+            }
             values.resize_with(kinds.len(), Vec::new);
             values.iter_mut().for_each(|v| v.resize(owners.len(), [0.0; 4]));
-            let width = (rect.x1 - rect.x0) as usize;
             for (index, winner) in winners.iter_mut().enumerate().filter(|(_, w)| **w != 0) {
-                let sample = [rect.x0 + (index % width) as u32, rect.y0 + (index / width) as u32];
-                let low = owners[index] as usize - 1;
-                let Some(hit) = locator.at(sample, low, *winner as usize - 1, steps) else {
+                let Some(hit) = hit_at(index, *winner) else {
                     *winner = 0;
                     continue;
                 };
@@ -364,32 +390,27 @@ impl<'a> Pass<'a> {
                 }
             }
             let samples = Samples { rect, owners, winners, values, charts: &self.charts };
-            let texels = self.sheet.texels(x, y);
             for ty in texels.y0..texels.y1 {
                 for tx in texels.x0..texels.x1 {
                     let texel = samples.texel(&tent, [tx, ty], &kinds, &mut texel_values);
                     if texel.chart == 0 {
                         continue;
                     }
-                    let at = (ty - texels.y0) as usize * self.sheet.size as usize + tx as usize;
+                    let at = at(tx, ty);
                     charts[at] = texel.chart;
                     counts.owned += 1;
                     let [hit, all] = texel.weight;
-                    covered[at] = hit > 0.0;
                     if hit == 0.0 {
                         continue;
                     }
+                    covered[at] = true;
                     counts.covered += 1;
-                    for (m, rows) in maps.iter_mut().enumerate() {
-                        let mut value = texel_values[m];
-                        match evaluator.maps[m].what {
-                            What::Extra(ExtraMap::Coverage) => value = [hit / all, hit / all, hit / all, 1.0],
-                            What::Role(MapRole::Normal) if self.options.space == NormalSpace::Tangent => {
-                                counts.behind += u64::from(value[2] < 0.0);
-                            }
-                            _ => {}
-                        }
-                        rows.write(at, value, kinds[m], halved[m]);
+                    for ((map, rows), value) in evaluator.maps.iter().zip(maps.iter_mut()).zip(&texel_values) {
+                        let share = hit / all;
+                        let coverage = map.what == What::Extra(ExtraMap::Coverage);
+                        let value = if coverage { [share, share, share, 1.0] } else { *value };
+                        counts.behind += u64::from(self.is_behind(map.what, value));
+                        rows.write(at, value, map.what.kind(), map.what.halved(self.options.depth));
                     }
                 }
             }

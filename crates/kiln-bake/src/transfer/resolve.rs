@@ -5,7 +5,6 @@ use glam::{DVec2, DVec3, Vec2, Vec3, Vec4};
 use kiln_asset::{FaceId, Mesh};
 
 use super::low::{Lines, Low};
-use super::search::Target;
 
 /// A sample's place on the low mesh and on the high one.
 #[derive(Clone, Copy, Debug)]
@@ -46,16 +45,40 @@ pub(crate) enum Meeting<'a> {
     Layout(&'a [Vec2]),
 }
 
-/// Finds hit points; keeps the last pair's functions, since neighbours mostly share them.
+/// Finds hit points; keeps the last faces' numbers, since neighbours mostly share them.
 pub(crate) struct Locator<'a> {
     low: &'a Low<'a>,
     high: &'a Mesh,
     meeting: Meeting<'a>,
-    low_face: usize,
-    lines: Option<Lines>,
-    high_face: usize,
-    target: Option<Target>,
+    /// `[KEPT]` low faces and their lines, each at its number modulo the length: rows of samples cross the same few faces again and again.
+    kept: Vec<(usize, Option<Lines>)>,
+    /// The last pair.
+    pair: [usize; 2],
+    /// Of its high face, relative to the lines' base.
+    corners: [DVec3; 3],
     flat: Plane,
+}
+
+/// Low faces whose lines a locator keeps: more than a bin of a usual layout holds.
+const KEPT: usize = 32;
+
+/// A line's meeting point with a triangle's plane.
+struct Meet {
+    bary: [f64; 3],
+    t: f64,
+    /// The triangle looks against the line.
+    turned: bool,
+}
+
+/// Where the line `origin + t direction` meets the plane of `corners`; not finite where they are parallel.
+#[inline]
+fn meet((origin, direction): (DVec3, DVec3), corners: &[DVec3; 3]) -> Meet {
+    let [a, b, c] = corners.map(|p| p - origin);
+    let e = [direction.dot(b.cross(c)), direction.dot(c.cross(a)), direction.dot(a.cross(b))];
+    // The sum is d . n.
+    let sum = e[0] + e[1] + e[2];
+    let height = a.dot((b - a).cross(c - a));
+    Meet { bary: e.map(|e| e / sum), t: height / sum, turned: sum < 0.0 }
 }
 
 /// Barycentric coordinates in a layout, as affine functions of the place.
@@ -83,76 +106,65 @@ impl Plane {
 impl<'a> Locator<'a> {
     pub(crate) fn new(low: &'a Low<'a>, high: &'a Mesh, meeting: Meeting<'a>) -> Locator<'a> {
         let nowhere = Plane { corner: DVec2::ZERO, row1: DVec2::ZERO, row2: DVec2::ZERO };
-        Locator {
-            low,
-            high,
-            meeting,
-            low_face: usize::MAX,
-            lines: None,
-            high_face: usize::MAX,
-            target: None,
-            flat: nowhere,
-        }
+        let kept = vec![(usize::MAX, None); KEPT];
+        Locator { low, high, meeting, kept, pair: [usize::MAX; 2], corners: [DVec3::ZERO; 3], flat: nowhere }
     }
 
     /// The hit of a sample (column, row on the sheet of samples) of `low` whose winner is `high`. With `steps` its change over a
     /// sample is worked out too. `None`: the low face has no lines.
+    #[inline]
     pub(crate) fn at(&mut self, sample: [u32; 2], low: usize, high: usize, steps: bool) -> Option<HitPoint> {
-        if self.low_face != low {
-            self.lines = self.low.lines(low);
-            self.low_face = low;
-            self.high_face = usize::MAX;
+        let kept = &mut self.kept[low % KEPT];
+        if kept.0 != low {
+            *kept = (low, self.low.lines(low));
         }
-        let lines = self.lines.as_ref()?;
-        if self.high_face != high {
-            let corners = self.high.face_positions(FaceId(high as u32)).map(|p| p.as_dvec3() - lines.base);
-            self.target = Some(Target::new(lines, corners));
+        let lines = self.kept[low % KEPT].1.as_ref()?;
+        if self.pair != [low, high] {
+            self.corners = self.high.face_positions(FaceId(high as u32)).map(|p| p.as_dvec3() - lines.base);
             if let Meeting::Layout(uv) = self.meeting {
                 self.flat = Plane::new(self.high.triangles[high].map(|v| uv[v as usize].as_dvec2()));
             }
-            self.high_face = high;
+            self.pair = [low, high];
         }
-        let target = self.target.as_ref()?;
-        let samples = self.low.samples;
-        let place = lines.place(sample, samples);
-        let step = 1.0 / f64::from(samples);
-        let on_high = |place: DVec2| match self.meeting {
-            Meeting::Line => target.meet(place).bary,
+        let place = lines.place(sample, self.low.samples);
+        let line = lines.line(place);
+        let found = meet(line, &self.corners);
+        let (bary, height) = match self.meeting {
+            Meeting::Line => (found.bary, found.t * line.1.length()),
             Meeting::Layout(_) => {
-                let pixel = DVec2::new(f64::from(lines.pixel[0]), f64::from(lines.pixel[1]));
-                self.flat.at((place + pixel) / f64::from(self.low.size))
+                let bary = self.in_layout(lines, place);
+                let point = self.corners[0] * bary[0] + self.corners[1] * bary[1] + self.corners[2] * bary[2];
+                (bary, (point - line.0).dot(line.1.normalize_or_zero()))
             }
         };
-        let (_, direction) = lines.line(place);
-        let meet = target.meet(place);
-        let bary = on_high(place);
-        let (step_x, step_y) = if steps {
-            let change = |other: [f64; 3]| [0, 1, 2].map(|k| (other[k] - bary[k]) as f32);
-            (change(on_high(place + step * DVec2::X)), change(on_high(place + step * DVec2::Y)))
-        } else {
-            ([0.0; 3], [0.0; 3])
-        };
-        let height = match self.meeting {
-            Meeting::Line => (meet.t * direction.length()) as f32,
-            Meeting::Layout(_) => self.offset(lines, place, high, bary, direction),
-        };
+        let (mut step_x, mut step_y) = ([0.0; 3], [0.0; 3]);
+        if steps {
+            let step = 1.0 / f64::from(self.low.samples);
+            let change = |place: DVec2| {
+                let other = match self.meeting {
+                    Meeting::Line => meet(lines.line(place), &self.corners).bary,
+                    Meeting::Layout(_) => self.in_layout(lines, place),
+                };
+                [0, 1, 2].map(|k| finite((other[k] - bary[k]) as f32))
+            };
+            (step_x, step_y) = (change(place + step * DVec2::X), change(place + step * DVec2::Y));
+        }
         Some(HitPoint {
             low,
             high,
             low_bary: lines.bary(place).map(|b| b as f32),
             high_bary: inside(bary),
-            step_x: step_x.map(finite),
-            step_y: step_y.map(finite),
-            height: finite(height),
-            turned: meet.turned,
+            step_x,
+            step_y,
+            height: finite(height as f32),
+            turned: found.turned,
         })
     }
 
-    /// How far a place on the high face lies from the low one's, along the line's direction.
-    fn offset(&self, lines: &Lines, place: DVec2, high: usize, bary: [f64; 3], direction: DVec3) -> f32 {
-        let corners = self.high.face_positions(FaceId(high as u32)).map(|p| p.as_dvec3() - lines.base);
-        let point = corners[0] * bary[0] + corners[1] * bary[1] + corners[2] * bary[2];
-        (point - lines.line(place).0).dot(direction.normalize_or_zero()) as f32
+    /// Barycentric coordinates on the high face of a place, in the layout both meshes share.
+    fn in_layout(&self, lines: &Lines, place: DVec2) -> [f64; 3] {
+        let pixel = DVec2::new(f64::from(lines.pixel[0]), f64::from(lines.pixel[1]));
+        self.flat.at((place + pixel) / f64::from(self.low.size))
     }
 }
 

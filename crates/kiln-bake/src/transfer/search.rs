@@ -92,25 +92,6 @@ impl Target {
             open: ROUNDING * reach * reach,
         }
     }
-
-    /// Where the line of a place meets the triangle's plane. Not finite where they are parallel.
-    #[inline]
-    pub(crate) fn meet(&self, at: DVec2) -> Meet {
-        let value = |e: &[f64; 6]| e[0] + at.y * (e[2] + at.y * e[5]) + at.x * (e[1] + at.y * e[4] + at.x * e[3]);
-        let [e0, e1, e2] = [value(&self.edges[0]), value(&self.edges[1]), value(&self.edges[2])];
-        let sum = e0 + e1 + e2;
-        let height = self.height[0] + self.height[1] * at.x + self.height[2] * at.y;
-        Meet { bary: [e0 / sum, e1 / sum, e2 / sum], t: height / sum, turned: sum < 0.0 }
-    }
-}
-
-/// A line's meeting point with a triangle's plane.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Meet {
-    pub(crate) bary: [f64; 3],
-    pub(crate) t: f64,
-    /// The triangle looks against the line.
-    pub(crate) turned: bool,
 }
 
 impl<'a> Search<'a> {
@@ -148,6 +129,7 @@ impl<'a> Search<'a> {
         let (points, axes) = hull(low, lines, rect);
         self.bvh.overlapping_hull(&points, &axes, found);
         let same = self.same[low.mesh.face_submesh[face].index()];
+        let edges = Side::of(low, face);
         for high in found.iter().copied() {
             let fallback = match self.matching {
                 Matching::Any => false,
@@ -156,19 +138,21 @@ impl<'a> Search<'a> {
                 Matching::Name => false,
             };
             let Some([lo, hi]) = lines.places(&self.corners(high, lines.base)) else { continue };
-            let first = |c: f64, k: usize| {
-                ((c + f64::from(lines.pixel[k])) * f64::from(low.samples) - 0.5 - SLACK).ceil().max(0.0) as u32
+            // The first sample whose centre lies at or behind a place, and the first behind it.
+            let after = |c: f64, k: usize, slack: f64| {
+                let at = (c + f64::from(lines.pixel[k])) * f64::from(low.samples) - 0.5 + slack;
+                let whole = at.max(0.0) as u32;
+                whole + u32::from(f64::from(whole) < at)
             };
-            let end = |c: f64, k: usize| {
-                ((c + f64::from(lines.pixel[k])) * f64::from(low.samples) + 0.5 + SLACK).floor().max(0.0) as u32
-            };
+            let first = |c: f64, k: usize| after(c, k, -SLACK);
+            let end = |c: f64, k: usize| after(c, k, SLACK);
             let samples = Rect {
                 x0: first(lo.x, 0).max(rect.x0),
                 y0: first(lo.y, 1).max(rect.y0),
                 x1: end(hi.x, 0).min(rect.x1),
                 y1: end(hi.y, 1).min(rect.y1),
             };
-            if samples.x0 < samples.x1 && samples.y0 < samples.y1 {
+            if samples.x0 < samples.x1 && samples.y0 < samples.y1 && edges.iter().all(|e| e.reaches(&samples)) {
                 out.push(Candidate { high, fallback, samples });
             }
         }
@@ -254,6 +238,33 @@ impl<'a> Search<'a> {
                 }
             }
         }
+    }
+}
+
+/// The inner side of an edge of a low face on the sheet of samples: `a x + b y + c >= 0`.
+struct Side {
+    a: f64,
+    b: f64,
+    c: f64,
+}
+
+impl Side {
+    fn of(low: &Low<'_>, face: usize) -> [Side; 3] {
+        let corners = low.texels(face).map(|t| t.as_dvec2() * f64::from(low.samples));
+        let turn = (corners[1] - corners[0]).perp_dot(corners[2] - corners[0]).signum();
+        std::array::from_fn(|k| {
+            let (p, q) = (corners[k], corners[(k + 1) % 3]);
+            let (a, b) = (-turn * (q.y - p.y), turn * (q.x - p.x));
+            // Owners come from corners rounded to 1/256 sample.
+            Side { a, b, c: -(a * p.x + b * p.y) + (a.abs() + b.abs()) / 64.0 }
+        })
+    }
+
+    /// Whether a sample of `rect` may lie on it.
+    fn reaches(&self, rect: &Rect) -> bool {
+        let x = f64::from(if self.a > 0.0 { rect.x1 } else { rect.x0 });
+        let y = f64::from(if self.b > 0.0 { rect.y1 } else { rect.y0 });
+        self.a * x + self.b * y + self.c >= 0.0
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod appearance;
 mod hits;
+mod lines;
 mod models;
 
 use std::sync::Arc;

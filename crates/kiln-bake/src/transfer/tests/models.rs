@@ -29,7 +29,7 @@ pub(super) fn valid(raw: RawMesh) -> Mesh {
 }
 
 /// A grid of `columns` x `rows` quads over `[0, 1]^2`, closed where `place` closes it. `place` gives position and normal.
-fn grid(columns: u32, rows: u32, place: impl Fn(f32, f32) -> (Vec3, Vec3)) -> RawMesh {
+pub(super) fn grid(columns: u32, rows: u32, place: impl Fn(f32, f32) -> (Vec3, Vec3)) -> RawMesh {
     let (mut positions, mut normals, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
     for j in 0..=rows {
         for i in 0..=columns {

@@ -299,15 +299,20 @@ impl Planner<'_> {
                 }
                 StageSettings::Bake(options) => {
                     let high = stage.high.and_then(|index| results.get(index)).copied().unwrap_or(before);
-                    let action = stages::bake::action(
-                        id,
-                        label,
-                        options,
-                        before.source(),
-                        high.source(),
-                        before.materials,
-                        &self.backend,
-                    );
+                    let cage = options.cage.as_ref().zip(stage.cage_from.as_ref()).map(|(cage, from)| {
+                        let path = paths.place(from, &build.filled(cage));
+                        let (id, label) = (format!("{id}/cage"), format!("{label}, cage"));
+                        let cage = self.push(stages::import::action(id, label, &path, &pipeline.asset.options));
+                        actions.push((cage, format!("{}, cage", stage.id)));
+                        Source::output(cage, "mesh")
+                    });
+                    let inputs = stages::bake::Inputs {
+                        low: before.source(),
+                        high: high.source(),
+                        materials: before.materials,
+                        cage,
+                    };
+                    let action = stages::bake::action(id, label, options, inputs, &self.backend);
                     let action = self.push(action);
                     Placed { action, output: "levels", materials: action }
                 }

@@ -12,8 +12,8 @@
 
 use super::diagnostic::{Code, Origin, Report, nearest, suggest};
 use super::length::{Length, Unit};
-use super::options::{Kind, LevelBudget, Metric, Normals, Placement, RuleLevel, SubmeshRule};
-use super::pipeline::{Stage, StageInput, StageSettings};
+use super::options::{BakeMethod, Kind, LevelBudget, Metric, Normals, Placement, RuleLevel, SubmeshRule};
+use super::pipeline::{RelativeTo, Stage, StageInput, StageSettings};
 use super::read::Draft;
 
 /// What a stage hands on, as far as it is known before anything runs.
@@ -96,7 +96,8 @@ pub(crate) fn check(drafts: Vec<Draft>, report: &mut Report) -> Option<Vec<Stage
                 bake.size = bake.size.or(size);
             }
             let origins = draft.origins;
-            Some(Stage { id: draft.id?, input: input?, high, settings, header: draft.header, origins })
+            let cage_from = origins.get("cage").map(|origin| RelativeTo::of(origin, report));
+            Some(Stage { id: draft.id?, input: input?, high, cage_from, settings, header: draft.header, origins })
         })
         .collect()
 }
@@ -303,7 +304,7 @@ impl Walk<'_> {
                 }
                 gives
             }
-            StageSettings::Bake(_) => {
+            StageSettings::Bake(bake) => {
                 match incoming.what {
                     What::Unknown => {}
                     _ if incoming.baked => {
@@ -311,9 +312,11 @@ impl Walk<'_> {
                         let help = "name all textures in the first bake's `maps`";
                         return self.refuse(index, Code::ChainOrder, message, "the second bake", help);
                     }
+                    // The model's own layout will do, if it holds; what is wrong with it is said when it is looked at.
+                    _ if incoming.atlas.is_none() && bake.method == BakeMethod::Correspondence => {}
                     _ if incoming.atlas.is_none() => {
                         let message = String::from("bake has no atlas before it to write into");
-                        let help = "put an atlas stage between the simplify stages, or leave the bake out";
+                        let help = "put an atlas stage between the simplify stages, or leave the bake out; method = \"correspondence\" bakes into the model's own layout";
                         self.refuse(index, Code::ChainBakeUnlaid, message, "no atlas before", help);
                     }
                     _ => {}

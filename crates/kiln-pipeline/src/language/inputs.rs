@@ -143,6 +143,13 @@ fn named(input: String, root: &str, pipeline: &Pipeline) -> AssetBuild {
     AssetBuild { input, output, relative, path, name }
 }
 
+impl AssetBuild {
+    /// A template as `output` is one, filled for this build.
+    pub fn filled(&self, template: &str) -> String {
+        filled(template, &self.path, &self.name)
+    }
+}
+
 /// The template with its names replaced in one pass: a model called `{name}` stays what it is called.
 fn filled(template: &str, path: &str, name: &str) -> String {
     let mut out = String::new();

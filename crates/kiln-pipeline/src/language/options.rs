@@ -114,6 +114,22 @@ choices! {
 }
 
 choices! {
+    /// A map of a material.
+    pub enum MaterialMap {
+        /// Normals.
+        "normal" => Normal,
+        /// Base colour and alpha.
+        "base-color" => BaseColor,
+        /// Roughness in green, metallic in blue.
+        "metallic-roughness" => MetallicRoughness,
+        /// Occlusion in red.
+        "occlusion" => Occlusion,
+        /// Emission.
+        "emissive" => Emissive,
+    }
+}
+
+choices! {
     /// A texture that a bake writes.
     pub enum MapName {
         /// Normals of the high mesh in `space`.
@@ -126,6 +142,26 @@ choices! {
         "occlusion" => Occlusion,
         /// Emission.
         "emissive" => Emissive,
+        /// Signed distance of the high mesh along the texel's line, metres; beside the material, as those below.
+        "height" => Height,
+        /// Place on the high mesh.
+        "position" => Position,
+        /// Normal of the high mesh in the axes of the asset, without its normal maps.
+        "object-normal" => ObjectNormal,
+        /// Number of the high submesh.
+        "object-id" => ObjectId,
+        /// Number of the source's material, -1 for none.
+        "material-id" => MaterialId,
+        /// Mean curvature of the high mesh, 1 / metre, convex positive.
+        "curvature" => Curvature,
+        /// Open share of the hemisphere over the high mesh, by rays.
+        "ambient-occlusion" => AmbientOcclusion,
+        /// Mean direction of that share.
+        "bent-normal" => BentNormal,
+        /// The source's alpha.
+        "opacity" => Opacity,
+        /// Share of the texel that met the high mesh.
+        "coverage" => Coverage,
         later {
             /// One set of maps for each level, instead of one for all levels of a layout.
             "per-level",
@@ -136,12 +172,82 @@ choices! {
 choices! {
     /// How a texel finds its place on the high mesh.
     pub enum BakeMethod {
-        /// The point of the high mesh nearest to the low triangle's plane along its normal.
+        /// Where the texel's own line, out of the low mesh, meets it.
         "mirrored-vertex" => MirroredVertex,
-        later {
-            /// The place with the same texture coordinate, where both meshes share a layout.
-            "correspondence",
-        }
+        /// The place with the same texture coordinate, where both meshes share a layout without overlaps: no atlas is needed.
+        "correspondence" => Correspondence,
+    }
+}
+
+choices! {
+    /// Along which directions a bake looks out of the low mesh.
+    pub enum BakeDirections {
+        /// The mean normal of each point, mixed over the face: no gap at hard edges.
+        "smooth" => Smooth,
+        /// The face's normal: straight onto flat parts, jumps at every edge.
+        "face" => Face,
+        /// The normal of each vertex: smooth within smooth parts, straight behind hard edges, where a gap opens.
+        "mixed" => Mixed,
+    }
+}
+
+choices! {
+    /// Which of several surfaces on a texel's line is shown.
+    pub enum BakeHit {
+        /// The outermost within `front`: parts that float above the surface are kept.
+        "outermost" => Outermost,
+        /// The one nearest to the low mesh: safe where the surface folds over itself.
+        "nearest" => Nearest,
+    }
+}
+
+choices! {
+    /// Which submeshes of the high mesh a submesh of the low one may show.
+    pub enum BakeMatch {
+        /// Its own by name; where a line does not meet that, any.
+        "prefer-name" => Prefer,
+        /// Its own by name, nothing else.
+        "name" => Name,
+        /// Any.
+        "any" => Any,
+    }
+}
+
+choices! {
+    /// How many samples a texel is made of.
+    pub enum BakeSamples {
+        /// One, at its centre; textures are averaged over the texel all the same.
+        "1x1" => One,
+        /// Four.
+        "2x2" => Two,
+        /// Sixteen.
+        "4x4" => Four,
+        /// Sixty-four.
+        "8x8" => Eight,
+    }
+}
+
+choices! {
+    /// How finely baked maps are written.
+    pub enum BakeDepth {
+        /// 8 bits a channel; lengths and numbers as floats.
+        "8-bit" => Eight,
+        /// 16 bits a channel; lengths and numbers as floats.
+        "16-bit" => Sixteen,
+        /// 32-bit floats.
+        "float" => Float,
+    }
+}
+
+choices! {
+    /// Where the occlusion map comes from.
+    pub enum BakeOcclusion {
+        /// The source's maps.
+        "source" => Source,
+        /// Rays against the high mesh.
+        "rays" => Rays,
+        /// Both, multiplied.
+        "both" => Both,
     }
 }
 
@@ -271,7 +377,7 @@ options! {
     /// What counts as a texture border and what crossing one costs.
     pub struct TextureBorder {
         /// Map of the materials whose borders count, or a list of maps.
-        "map" => maps: MapList, default(MapList(vec![MapName::BaseColor]));
+        "map" => maps: MapList, default(MapList(vec![MaterialMap::BaseColor]));
         /// Texels over which a picture is smoothed before borders are looked for.
         "sigma" => sigma: f64, default(0.75), within 0..=16;
         /// Low threshold, as a share of the high one: weaker borders go nowhere.
@@ -314,8 +420,30 @@ options! {
         "size" => size: Option<u32>, derived("the atlas's size"), within 16..=16384;
         /// Texels that each chart grows into the padding after the transfer.
         "dilation" => dilation: u32, default(8), within 0..=256;
-        /// Greatest distance of the high mesh from the low one that is still carried over.
-        "cage" => cage: Option<Length>, derived("0.02 diag, or twice the finest level's error if that is more");
+        /// Samples of a texel, weighted by a tent of one texel's radius.
+        "samples" => samples: BakeSamples, default(BakeSamples::One);
+        /// How finely maps are written.
+        "depth" => depth: BakeDepth, default(BakeDepth::Eight);
+        /// Where lines look, out of the low mesh.
+        "directions" => directions: BakeDirections, default(BakeDirections::Smooth);
+        /// Which of several surfaces on a line is shown.
+        "hit" => hit: BakeHit, default(BakeHit::Outermost);
+        /// How far in front of the low mesh the high one is looked for.
+        "front" => front: Option<Length>, derived("1.5 times the finest level's error, at least 0.001 diag");
+        /// How far behind the low mesh the high one is looked for.
+        "back" => back: Option<Length>, derived("1.5 times the finest level's error, at least 0.001 diag");
+        /// Model around the low mesh that says how far in front each part looks, instead of `front`; relative to this file, with `{name}` and `{path}` as in `output`.
+        "cage" => cage: Option<String>, derived("no cage");
+        /// Takes surfaces that face away from the low mesh too.
+        "back-faces" => back_faces: bool, default(false);
+        /// Which submeshes go together.
+        "match" => matching: BakeMatch, default(BakeMatch::Prefer);
+        /// Where the occlusion map comes from.
+        "occlusion" => occlusion: BakeOcclusion, default(BakeOcclusion::Source);
+        /// Rays of a sample for ambient occlusion and bent normals.
+        "rays" => rays: u32, default(64), within 1..=4096;
+        /// How far those rays go.
+        "ray-length" => ray_length: Option<Length>, derived("1 diag");
         later {
             /// Keeps the model's own layout beside the atlas.
             "keep-source-uv";
@@ -573,17 +701,17 @@ pub(crate) fn rules_text(rules: &[SubmeshRule]) -> String {
 
 /// One map or a list of maps.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct MapList(pub Vec<MapName>);
+pub struct MapList(pub Vec<MaterialMap>);
 
 impl Setting for MapList {
     fn shape() -> Shape {
-        Vec::<MapName>::shape()
+        Vec::<MaterialMap>::shape()
     }
 
     fn read(node: &Node, report: &mut Report) -> Option<Self> {
         match node.data {
-            Data::Text(_) => MapName::read(node, report).map(|map| MapList(vec![map])),
-            _ => Vec::<MapName>::read(node, report).map(MapList),
+            Data::Text(_) => MaterialMap::read(node, report).map(|map| MapList(vec![map])),
+            _ => Vec::<MaterialMap>::read(node, report).map(MapList),
         }
     }
 

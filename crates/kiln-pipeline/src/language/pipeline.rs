@@ -60,6 +60,14 @@ pub enum RelativeTo {
 }
 
 impl RelativeTo {
+    /// For a path that was written at `origin`.
+    pub(crate) fn of(origin: &Origin, report: &Report) -> RelativeTo {
+        match report.sources.0.get(origin.source) {
+            Some(source) if !source.command_line => RelativeTo::File(source.name.clone()),
+            _ => RelativeTo::CurrentFolder,
+        }
+    }
+
     /// The path as seen from where the pipeline's own name is seen from; absolute paths stay.
     pub fn join(&self, path: &str) -> String {
         match self {
@@ -89,6 +97,8 @@ pub struct Stage {
     pub input: StageInput,
     /// For a bake, the index of the stage named by `high`.
     pub high: Option<usize>,
+    /// For a bake with a cage, where that path starts.
+    pub cage_from: Option<RelativeTo>,
     /// Its options, defaults filled.
     pub settings: StageSettings,
     /// Place of its `[[stage]]` header.

@@ -54,11 +54,7 @@ pub(crate) fn asset(document: &Table, report: &mut Report) -> Option<AssetPaths>
             report.add(Code::ValueEmpty, &node.origin, format!("`{name}` names no file"), label, None);
             return None;
         }
-        let source = report.sources.0.get(node.origin.source);
-        let relative_to = match source {
-            Some(source) if !source.command_line => RelativeTo::File(source.name.clone()),
-            _ => RelativeTo::CurrentFolder,
-        };
+        let relative_to = RelativeTo::of(&node.origin, report);
         Some(AssetPath { text, relative_to, origin: node.origin.clone() })
     };
     let input = path("input", options.input.clone(), report);

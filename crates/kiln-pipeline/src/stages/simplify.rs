@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use kiln_asset::{ImageId, LodSet, MaterialSet, Mesh};
+use kiln_asset::{ImageId, LodSet, MapRole, MaterialSet, Mesh};
 use kiln_engine::{Action, ActionError, Context, Outputs, Source};
 use kiln_lod::normals;
 use kiln_lod::simplify::parts::{PartLevel, PartRule, matches, unmatched};
@@ -20,7 +20,6 @@ use kiln_lod::simplify::{
 };
 use serde::Serialize;
 
-use super::bake::role;
 use super::pack::Pictures;
 use super::{StageError, json, load_images, load_levels, load_materials, params};
 use crate::foreign;
@@ -221,7 +220,12 @@ pub(super) fn borders(
 ) -> Result<TextureBorders, String> {
     let pictures = Pictures::new(encoded, materials.images.iter().map(|i| i.format).collect());
     let own = TextureBorderOptions {
-        maps: options.maps.0.iter().map(|map| role(*map)).collect(),
+        maps: options
+            .maps
+            .0
+            .iter()
+            .filter_map(|map| MapRole::ALL.into_iter().find(|r| r.name() == map.as_str()))
+            .collect(),
         sigma: options.sigma,
         low: options.low,
         high: options.high,

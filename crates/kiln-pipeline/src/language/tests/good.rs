@@ -42,7 +42,7 @@ fn the_example_of_the_design_is_read_in_full() {
     assert_eq!(options.maps, [MapName::Normal, MapName::BaseColor, MapName::MetallicRoughness]);
     assert_eq!(&text[bake.origin("dilation").span.clone()], "8");
     assert_eq!(&text[bake.origin("maps[1]").span.clone()], "\"base-color\"");
-    assert_eq!(&text[bake.origin("cage").span.clone()], "[[stage]]", "a default points at the header");
+    assert_eq!(&text[bake.origin("front").span.clone()], "[[stage]]", "a default points at the header");
     assert_eq!(pipeline.asset.input.relative_to, RelativeTo::File(String::from("p/x.toml")));
 
     let prop = pipeline.for_asset("props/chair.glb").unwrap();

@@ -3,6 +3,7 @@
 mod appearance;
 mod hits;
 mod lines;
+mod maps;
 mod models;
 
 use std::sync::Arc;

@@ -403,8 +403,8 @@ fn a_texture_border_takes_one_map_or_several_and_is_written_out_in_full() {
     let (standard, resolved) = with("{}");
     assert_eq!(standard, TextureBorder::default());
     assert!(resolved.contains("texture-border = { map = [\"base-color\"], sigma = 0.75"), "{resolved}");
-    assert_eq!(with("{ map = \"normal\" }").0.maps.0, [MapName::Normal]);
-    assert_eq!(with("{ map = [\"normal\", \"emissive\"] }").0.maps.0, [MapName::Normal, MapName::Emissive]);
+    assert_eq!(with("{ map = \"normal\" }").0.maps.0, [MaterialMap::Normal]);
+    assert_eq!(with("{ map = [\"normal\", \"emissive\"] }").0.maps.0, [MaterialMap::Normal, MaterialMap::Emissive]);
     assert_eq!(
         with("{ weight = 2, side = 64 }").0,
         TextureBorder { weight: 2.0, side: 64, ..TextureBorder::default() }

@@ -56,26 +56,26 @@ impl Gpu {
         })
     }
 
-    /// A square picture of `size` texels a side without content.
+    /// A picture of `size` (width, height) texels without content.
     ///
     /// # Errors
     /// Larger than the device draws to, or no memory.
     pub fn picture(
         &self,
         label: &str,
-        size: u32,
+        [width, height]: [u32; 2],
         format: wgpu::TextureFormat,
         usage: wgpu::TextureUsages,
     ) -> Result<wgpu::Texture, GpuError> {
         let limit = self.device().limits().max_texture_dimension_2d;
-        if size > limit {
-            let (needed, limit) = (size as u64, limit as u64);
+        if width.max(height) > limit {
+            let (needed, limit) = (width.max(height) as u64, limit as u64);
             return Err(GpuError::TooLarge { what: label.to_owned(), needed, limit, unit: "texels a side" });
         }
         self.check(label, || {
             self.device().create_texture(&wgpu::TextureDescriptor {
                 label: Some(label),
-                size: wgpu::Extent3d { width: size, height: size, depth_or_array_layers: 1 },
+                size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
                 mip_level_count: 1,
                 sample_count: 1,
                 dimension: wgpu::TextureDimension::D2,
@@ -86,26 +86,26 @@ impl Gpu {
         })
     }
 
-    /// A square R32Uint picture with these texels, to be read by shaders. `texels`: `[size * size]`, top row first.
+    /// An R32Uint picture of `size` (width, height) with these texels, to be read by shaders. `texels`: `[height x width]`, top row first.
     ///
     /// # Errors
     /// As for [`Gpu::picture`], or `texels` of another length.
-    pub fn id_picture(&self, label: &str, size: u32, texels: &[u32]) -> Result<wgpu::Texture, GpuError> {
-        if texels.len() as u64 != size as u64 * size as u64 {
-            let reason = format!("{} texels for a picture of {size} x {size}", texels.len());
+    pub fn id_picture(&self, label: &str, size: [u32; 2], texels: &[u32]) -> Result<wgpu::Texture, GpuError> {
+        let [width, height] = size;
+        if texels.len() as u64 != width as u64 * height as u64 {
+            let reason = format!("{} texels for a picture of {width} x {height}", texels.len());
             return Err(GpuError::Refused { what: label.to_owned(), reason });
         }
         let usage = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST;
         let picture = self.picture(label, size, wgpu::TextureFormat::R32Uint, usage)?;
-        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(size * 4), rows_per_image: None };
+        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(width * 4), rows_per_image: None };
         self.check(label, || {
             self.queue().write_texture(picture.as_image_copy(), bytemuck::cast_slice(texels), layout, picture.size());
         })?;
         Ok(picture)
     }
 
-    /// The texels of a square R32Uint picture (usage COPY_SRC), `[size * size]`, top row first, after all work submitted so
-    /// far.
+    /// The texels of an R32Uint picture (usage COPY_SRC), `[height x width]`, top row first, after all work submitted so far.
     ///
     /// # Errors
     /// Too large for one buffer, no memory, a lost device.

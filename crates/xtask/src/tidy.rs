@@ -121,7 +121,7 @@ fn default_dependencies(metadata: &Metadata, findings: &mut Vec<String>) {
     }
 }
 
-/// Every `shaders/NAME.wgsl` names its twin's path in its opening comment, that file exists and has the same stem.
+/// Every `shaders/NAME.wgsl` names its twin's path in its opening comment, that file exists and has the same stem or names the shader.
 fn shader_twins(root: &Path, findings: &mut Vec<String>) {
     for path in files(&root.join("shaders"), "wgsl") {
         let text = fs::read_to_string(&path).unwrap_or_default();
@@ -130,11 +130,15 @@ fn shader_twins(root: &Path, findings: &mut Vec<String>) {
         let twin =
             opening.split_whitespace().map(|w| w.trim_matches(['`', '.', ',', ';'])).find(|w| w.ends_with(".rs"));
         match twin {
-            Some(twin) if !twin.ends_with(&format!("/{stem}.rs")) => {
-                findings.push(format!("shader {stem}: its twin {twin} has another stem"));
-            }
-            Some(twin) if !root.join(twin).is_file() => findings.push(format!("shader {stem}: no twin at {twin}")),
-            Some(_) => {}
+            Some(twin) => match fs::read_to_string(root.join(twin)) {
+                Err(_) => findings.push(format!("shader {stem}: no twin at {twin}")),
+                Ok(text)
+                    if !twin.ends_with(&format!("/{stem}.rs")) && !text.contains(&format!("shaders/{stem}.wgsl")) =>
+                {
+                    findings.push(format!("shader {stem}: its twin {twin} has another stem and does not name it"));
+                }
+                Ok(_) => {}
+            },
             None => findings.push(format!("shader {stem}: its opening comment names no twin")),
         }
     }

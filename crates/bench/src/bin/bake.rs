@@ -254,8 +254,7 @@ fn save(
     let plain = MaterialSet { materials: vec![Default::default(); 16], ..MaterialSet::default() };
     for (name, mesh) in [("low", &low), ("high", high)] {
         let one = LodSet { levels: vec![Level { mesh: mesh.clone(), ..Level::default() }], ..LodSet::default() };
-        let (bytes, _) =
-            export_glb(&one, &plain, &[], ExportLevels::All).map_err(|e| e.to_string())?;
+        let (bytes, _) = export_glb(&one, &plain, &[], ExportLevels::All).map_err(|e| e.to_string())?;
         std::fs::write(folder.join(format!("{name}.glb")), bytes).map_err(|e| e.to_string())?;
     }
     let name = if directions == Directions::Face { "face" } else { "smooth" };

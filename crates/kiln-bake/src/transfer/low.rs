@@ -77,11 +77,11 @@ pub(crate) struct Lines {
     /// Barycentric coordinates 1 and 2: coefficients of 1, x, y.
     bary: [[f64; 3]; 2],
     /// Greatest distance in front: coefficients of 1, x, y.
-    front: [f64; 3],
+    pub(crate) front: [f64; 3],
     /// Greatest distance behind.
-    back: f64,
+    pub(crate) back: f64,
     /// Greatest t in front and behind before lines cross.
-    clip: [f64; 2],
+    pub(crate) clip: [f64; 2],
     /// Unit normal.
     pub(crate) normal: DVec3,
     /// Texel of a point's foot: `foot + (rows[0] . p, rows[1] . p)`.

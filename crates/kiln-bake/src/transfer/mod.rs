@@ -39,6 +39,7 @@ mod charts;
 pub mod check;
 mod correspondence;
 mod evaluate;
+mod gpu;
 mod low;
 mod maps;
 mod materials;
@@ -48,6 +49,8 @@ mod search;
 mod sheet;
 mod texture;
 
+use std::time::Duration;
+
 use glam::Vec3;
 use kiln_asset::{ExtraMap, Level, LodSet, MapRole, Material, MaterialId, Mesh};
 use rayon::prelude::*;
@@ -56,6 +59,7 @@ use crate::dilation::{self, TexelKind};
 use crate::tangents::{self, UvSource};
 use correspondence::Layout;
 use evaluate::{Evaluator, Kind, Planned, Rows, Samples, Tent, What};
+use gpu::{HitPass, Portions, Stripe};
 use low::Low;
 use maps::RoleSource;
 use materials::{Groups, is_neutral, material_of};
@@ -137,6 +141,7 @@ struct Pass<'a> {
 
 enum Finder<'a> {
     Lines(Search<'a>),
+    Device(Search<'a>, HitPass<'a>),
     Layout(Layout<'a>),
 }
 
@@ -158,6 +163,7 @@ struct Counts {
     behind: u64,
     pairs: u64,
     double: u64,
+    device: Duration,
 }
 
 impl std::ops::Add for Counts {
@@ -171,6 +177,7 @@ impl std::ops::Add for Counts {
             behind: self.behind + other.behind,
             pairs: self.pairs + other.pairs,
             double: self.double + other.double,
+            device: self.device + other.device,
         }
     }
 }
@@ -199,7 +206,16 @@ impl<'a> Pass<'a> {
             low = low.with_cage(cage);
         }
         let finder = match options.method {
-            Method::MirroredVertex => Finder::Lines(Search::new(high, finest, options)),
+            Method::MirroredVertex => {
+                let search = Search::new(high, finest, options);
+                match backend {
+                    Backend::Cpu => Finder::Lines(search),
+                    Backend::Gpu(gpu) => {
+                        let device = HitPass::new(gpu, &search, Portions::default())?;
+                        Finder::Device(search, device)
+                    }
+                }
+            }
             Method::Correspondence => {
                 // The atlas if both carry it, else the model's own layout.
                 let carried = high.atlas_uv.as_deref().filter(|_| input.low.levels[0].mesh.atlas_uv.is_some());
@@ -246,15 +262,10 @@ impl<'a> Pass<'a> {
         let rows = self.sheet.side as usize * size as usize;
         let mut bands = evaluate::bands(&mut pictures, rows);
         bands.resize_with(charts.len().div_ceil(rows), Vec::new);
-        let counts = bands
-            .into_par_iter()
-            .zip(charts.par_chunks_mut(rows))
-            .zip(covered.par_chunks_mut(rows))
-            .enumerate()
-            .map_init(Bench::default, |bench, (y, ((mut maps, charts), covered))| {
-                self.band(y as u32, &evaluator, bench, &mut maps, charts, covered)
-            })
-            .reduce(Counts::default, |a, b| a + b);
+        let bands = bands.into_iter().zip(charts.chunks_mut(rows)).zip(covered.chunks_mut(rows)).collect();
+        let counts = self.each_row(bands, |y, ((mut maps, charts), covered), stripe, bench| {
+            self.band(y, &evaluator, stripe, bench, &mut maps, charts, covered)
+        })?;
         self.account(counts, report);
         if let Finder::Layout(_) = self.finder {
             if counts.covered == 0 {
@@ -303,12 +314,46 @@ impl<'a> Pass<'a> {
         report.crossing_faces += odd(|o| o.crossing);
     }
 
-    /// Owners and winners of one bin, in `bench`.
-    fn hits(&self, x: u32, y: u32, bench: &mut Bench) -> Counts {
+    /// Visits all rows of bins, each with its part of `bands`, in parallel; in stripes where a device finds the winners.
+    fn each_row<T: Send>(
+        &self,
+        bands: Vec<T>,
+        visit: impl Fn(u32, T, Option<&Stripe>, &mut Bench) -> Counts + Sync,
+    ) -> Result<Counts, BakeError> {
+        let (sheet, mut counts) = (&self.sheet, Counts::default());
+        let rows = match &self.finder {
+            Finder::Device(_, device) => device.rows(sheet),
+            Finder::Lines(_) | Finder::Layout(_) => sheet.across,
+        };
+        let mut bands = bands.into_iter();
+        for first in (0..sheet.across).step_by(rows as usize) {
+            let mut stripe = None;
+            if let Finder::Device(search, device) = &self.finder {
+                let found = device.stripe(&self.low, sheet, search, first..(first + rows).min(sheet.across))?;
+                let Stripe { overlaps, pairs, device, .. } = found;
+                counts = counts + Counts { overlaps, pairs, device, ..Counts::default() };
+                stripe = Some(found);
+            }
+            let here: Vec<T> = bands.by_ref().take(rows as usize).collect();
+            let visited = here
+                .into_par_iter()
+                .enumerate()
+                .map_init(Bench::default, |bench, (row, band)| visit(first + row as u32, band, stripe.as_ref(), bench));
+            counts = counts + visited.reduce(Counts::default, |a, b| a + b);
+        }
+        Ok(counts)
+    }
+
+    /// Owners and winners of one bin, in `bench`. `stripe`: what a device found.
+    fn hits(&self, x: u32, y: u32, stripe: Option<&Stripe>, bench: &mut Bench) -> Counts {
         let (faces, rect) = (self.sheet.faces(x, y), self.sheet.samples(x, y));
+        if let Some(stripe) = stripe {
+            stripe.copy(x, rect, &mut bench.owners, &mut bench.winners);
+            return Counts::default();
+        }
         let overlaps = self.sheet.own(&self.low, faces, rect, &mut bench.owners);
         let (pairs, double) = match &self.finder {
-            Finder::Lines(search) => {
+            Finder::Lines(search) | Finder::Device(search, _) => {
                 let found = search.find(&self.low, faces, rect, &bench.owners, &mut bench.winners, &mut bench.scratch);
                 (found, 0)
             }
@@ -319,7 +364,7 @@ impl<'a> Pass<'a> {
 
     fn locator(&self) -> Locator<'_> {
         let meeting = match &self.finder {
-            Finder::Lines(_) => Meeting::Line,
+            Finder::Lines(_) | Finder::Device(..) => Meeting::Line,
             Finder::Layout(layout) => Meeting::Layout(layout.uv),
         };
         Locator::new(&self.low, self.high, meeting)
@@ -335,6 +380,7 @@ impl<'a> Pass<'a> {
         &self,
         y: u32,
         evaluator: &Evaluator<'_>,
+        stripe: Option<&Stripe>,
         bench: &mut Bench,
         maps: &mut [Rows<'_>],
         charts: &mut [u32],
@@ -350,7 +396,7 @@ impl<'a> Pass<'a> {
             if self.sheet.faces(x, y).is_empty() {
                 continue;
             }
-            counts = counts + self.hits(x, y, bench);
+            counts = counts + self.hits(x, y, stripe, bench);
             let rect = self.sheet.samples(x, y);
             let Bench { owners, winners, values, .. } = bench;
             let width = (rect.x1 - rect.x0) as usize;
@@ -428,6 +474,8 @@ pub struct HitBuffer<'a> {
     pub high_faces: Vec<u32>,
     /// Everything known so far.
     pub report: BakeReport,
+    /// What a device took of the time, its uploads and read-backs included, as far as the CPU waited for it.
+    pub device: Duration,
 }
 
 /// The hit pass of the first sheet alone, one sample a texel. The finest level needs `atlas_uv`.
@@ -440,36 +488,36 @@ pub fn find_hits<'a>(
     backend: Backend<'a>,
 ) -> Result<HitBuffer<'a>, BakeError> {
     let finest = &input.low.levels.first().ok_or(BakeError::NoLevels)?.mesh;
+    if options.samples != 1 {
+        let (found, expected) = (options.samples.to_string(), "1 for the hit pass alone".into());
+        return Err(BakeError::Option { name: "samples", found, expected });
+    }
     let reach = reach(input.high, input.low.levels[0].error, options);
     let pass = Pass::new(input, finest, 0, options, reach, backend)?;
     let size = pass.sheet.size as usize;
     let (mut low_faces, mut high_faces) = (vec![0u32; size * size], vec![0u32; size * size]);
     let rows = pass.sheet.side as usize * size;
-    let counts = low_faces
-        .par_chunks_mut(rows)
-        .zip(high_faces.par_chunks_mut(rows))
-        .enumerate()
-        .map_init(Bench::default, |bench, (y, (low, high))| {
-            let mut counts = Counts::default();
-            for x in 0..pass.sheet.across {
-                let rect = pass.sheet.samples(x, y as u32);
-                counts = counts + pass.hits(x, y as u32, bench);
-                let width = (rect.x1 - rect.x0) as usize;
-                for (row, from) in bench.owners.chunks_exact(width).zip(bench.winners.chunks_exact(width)).enumerate() {
-                    let start = row * size + rect.x0 as usize;
-                    low[start..start + width].copy_from_slice(from.0);
-                    high[start..start + width].copy_from_slice(from.1);
-                }
+    let bands = low_faces.chunks_mut(rows).zip(high_faces.chunks_mut(rows)).collect();
+    let counts = pass.each_row(bands, |y, (low, high), stripe, bench| {
+        let mut counts = Counts::default();
+        for x in 0..pass.sheet.across {
+            let rect = pass.sheet.samples(x, y);
+            counts = counts + pass.hits(x, y, stripe, bench);
+            let width = (rect.x1 - rect.x0) as usize;
+            for (row, from) in bench.owners.chunks_exact(width).zip(bench.winners.chunks_exact(width)).enumerate() {
+                let start = row * size + rect.x0 as usize;
+                low[start..start + width].copy_from_slice(from.0);
+                high[start..start + width].copy_from_slice(from.1);
             }
-            counts
-        })
-        .reduce(Counts::default, |a, b| a + b);
+        }
+        counts
+    })?;
     let count = |texels: &[u32]| texels.iter().filter(|t| **t != 0).count() as u64;
     let counts = Counts { owned: count(&low_faces), covered: count(&high_faces), ..counts };
     let mut report =
         BakeReport { size: options.size, front: reach[0], back: reach[1], sheets: 1, ..BakeReport::default() };
     pass.account(counts, &mut report);
-    Ok(HitBuffer { pass, low_faces, high_faces, report })
+    Ok(HitBuffer { pass, low_faces, high_faces, report, device: counts.device })
 }
 
 impl HitBuffer<'_> {

@@ -5,6 +5,7 @@ mod hits;
 mod lines;
 mod maps;
 mod models;
+mod twin;
 
 use std::sync::Arc;
 

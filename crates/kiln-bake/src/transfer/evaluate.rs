@@ -11,7 +11,7 @@ use kiln_geom::raster::Rect;
 use super::maps::RoleSource;
 use super::materials::Groups;
 use super::options::{BakeError, BakeOptions, Depth, NormalSpace, Picture};
-use super::resolve::{HitPoint, TangentFrame, mix3};
+use super::resolve::{HitPoint, Needs, TangentFrame, mix3};
 
 /// A map to be written.
 pub(crate) struct Planned<'a> {
@@ -100,28 +100,33 @@ pub(crate) struct Evaluator<'a> {
 }
 
 impl Evaluator<'_> {
-    /// Whether values need the change of the hit from sample to sample.
-    pub(crate) fn needs_steps(&self) -> bool {
-        self.maps.iter().any(|m| m.source.as_ref().is_some_and(RoleSource::reads_pictures))
+    /// What of a hit the maps read.
+    pub(crate) fn needs(&self) -> Needs {
+        Needs {
+            steps: self.maps.iter().any(|m| m.source.as_ref().is_some_and(RoleSource::reads_pictures)),
+            height: self.maps.iter().any(|m| m.what == What::Extra(ExtraMap::Height)),
+        }
     }
 
-    /// The value of map `map` at a hit; vectors in `[-1, 1]`.
-    pub(crate) fn value(&self, map: &Planned<'_>, hit: &HitPoint) -> [f32; 4] {
+    /// The values of a map at hits, by column; vectors in `[-1, 1]`.
+    #[inline]
+    pub(crate) fn each(&self, map: &Planned<'_>, hits: &[(u32, HitPoint)], mut put: impl FnMut(usize, [f32; 4])) {
+        let mut all = |value: &dyn Fn(&HitPoint) -> [f32; 4]| {
+            hits.iter().for_each(|(column, hit)| put(*column as usize, value(hit)));
+        };
         match (map.what, &map.source) {
-            (What::Role(MapRole::Normal), Some(source)) => {
-                let normal = source.normal(hit, self.high_normals);
-                let written = match self.options.space {
-                    NormalSpace::Object => normal,
-                    NormalSpace::Tangent => self.frame(hit).encode(normal),
-                };
-                written.extend(1.0).to_array()
+            (What::Role(MapRole::Normal), Some(source)) if self.options.space == NormalSpace::Object => {
+                all(&|hit| source.normal(hit, self.high_normals).extend(1.0).to_array());
             }
-            (What::Role(_), Some(source)) => {
+            (What::Role(MapRole::Normal), Some(source)) => {
+                all(&|hit| self.frame(hit).encode(source.normal(hit, self.high_normals)).extend(1.0).to_array());
+            }
+            (What::Role(_), Some(source)) => all(&|hit| {
                 let submesh = self.low.face_submesh[hit.low].index();
                 source.value(hit, self.groups.materials[self.groups.of_submesh[submesh]])
-            }
-            (What::Extra(extra), source) => self.extra(extra, source.as_ref(), hit),
-            (What::Role(_), None) => [0.0, 0.0, 0.0, 1.0],
+            }),
+            (What::Extra(extra), source) => all(&|hit| self.extra(extra, source.as_ref(), hit)),
+            (What::Role(_), None) => all(&|_| [0.0, 0.0, 0.0, 1.0]),
         }
     }
 

@@ -267,7 +267,14 @@ impl Lines {
     /// The place of a sample's centre. `sample`: column and row on the sheet of samples.
     #[inline]
     pub(crate) fn place(&self, sample: [u32; 2], samples: u32) -> DVec2 {
-        let at = |k: usize| (f64::from(sample[k]) + 0.5) / f64::from(samples) - f64::from(self.pixel[k]);
+        // Samples are powers of two: exact, and no division.
+        let step = match samples {
+            1 => 1.0,
+            2 => 0.5,
+            4 => 0.25,
+            _ => 0.125,
+        };
+        let at = |k: usize| (f64::from(sample[k]) + 0.5) * step - f64::from(self.pixel[k]);
         DVec2::new(at(0), at(1))
     }
 
@@ -286,6 +293,7 @@ impl Lines {
     }
 
     /// Barycentric coordinates of a place.
+    #[inline]
     pub(crate) fn bary(&self, at: DVec2) -> [f64; 3] {
         let [b1, b2] = self.bary.map(|b| b[0] + b[1] * at.x + b[2] * at.y);
         [1.0 - b1 - b2, b1, b2]

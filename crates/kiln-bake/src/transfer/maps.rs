@@ -94,6 +94,7 @@ impl<'a> RoleSource<'a> {
     }
 
     /// The high normal at a hit, object space, unit length, its normal map's detail included; turned for a hit from behind.
+    #[inline]
     pub(crate) fn normal(&self, hit: &HitPoint, normals: &[Vec3]) -> Vec3 {
         let corners = self.high.triangles[hit.high].map(|v| normals[v as usize]);
         let submesh = self.high.face_submesh[hit.high].index();

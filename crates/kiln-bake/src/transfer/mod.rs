@@ -53,6 +53,7 @@ use std::time::Duration;
 
 use glam::Vec3;
 use kiln_asset::{ExtraMap, Level, LodSet, MapRole, Material, MaterialId, Mesh};
+use kiln_geom::raster::Rect;
 use rayon::prelude::*;
 
 use crate::dilation::{self, TexelKind};
@@ -63,7 +64,7 @@ use gpu::{HitPass, Portions, Stripe};
 use low::Low;
 use maps::RoleSource;
 use materials::{Groups, is_neutral, material_of};
-use resolve::{Locator, Meeting};
+use resolve::{HitPoint, Locator, Meeting, Needs};
 use search::{Scratch, Search};
 use sheet::Sheet;
 
@@ -151,6 +152,9 @@ struct Bench {
     owners: Vec<u32>,
     winners: Vec<u32>,
     scratch: Scratch,
+    /// Columns and hits of one row of samples.
+    hits: Vec<(u32, HitPoint)>,
+    /// `[maps][samples of the bin]`.
     values: Vec<Vec<[f32; 4]>>,
 }
 
@@ -370,9 +374,9 @@ impl<'a> Pass<'a> {
         Locator::new(&self.low, self.high, meeting)
     }
 
-    /// Whether a normal lies behind the low mesh's shading normal.
-    fn is_behind(&self, what: What, value: [f32; 4]) -> bool {
-        what == What::Role(MapRole::Normal) && self.options.space == NormalSpace::Tangent && value[2] < 0.0
+    /// Whether a map holds normals against the low mesh's shading normal: behind it where their z is negative.
+    fn is_tangent_normal(&self, what: What) -> bool {
+        what == What::Role(MapRole::Normal) && self.options.space == NormalSpace::Tangent
     }
 
     /// A row of bins: `maps`, `charts` and `covered` are its texels.
@@ -387,82 +391,135 @@ impl<'a> Pass<'a> {
         covered: &mut [bool],
     ) -> Counts {
         let mut counts = Counts::default();
-        let kinds: Vec<Kind> = evaluator.maps.iter().map(|m| m.what.kind()).collect();
-        let tent = Tent::new(self.sheet.samples);
         let mut locator = self.locator();
-        let steps = evaluator.needs_steps();
-        let mut texel_values = vec![[0.0; 4]; kinds.len()];
         for x in 0..self.sheet.across {
             if self.sheet.faces(x, y).is_empty() {
                 continue;
             }
             counts = counts + self.hits(x, y, stripe, bench);
-            let rect = self.sheet.samples(x, y);
-            let Bench { owners, winners, values, .. } = bench;
-            let width = (rect.x1 - rect.x0) as usize;
-            let mut hit_at = |index: usize, winner: u32| {
-                let sample = [rect.x0 + (index % width) as u32, rect.y0 + (index / width) as u32];
-                locator.at(sample, owners[index] as usize - 1, winner as usize - 1, steps)
-            };
-            let texels = self.sheet.texels(x, y);
-            let at = |tx: u32, ty: u32| (ty - texels.y0) as usize * self.sheet.size as usize + tx as usize;
-            if self.sheet.samples == 1 {
-                // Samples are texels: nothing to be filtered.
-                for (index, owner) in owners.iter().enumerate().filter(|(_, o)| **o != 0) {
-                    let at = at(rect.x0 + (index % width) as u32, rect.y0 + (index / width) as u32);
-                    charts[at] = self.charts[*owner as usize - 1] + 1;
-                    counts.owned += 1;
-                    let hit = if winners[index] == 0 { None } else { hit_at(index, winners[index]) };
-                    let Some(hit) = hit else { continue };
-                    covered[at] = true;
-                    counts.covered += 1;
-                    for (map, rows) in evaluator.maps.iter().zip(maps.iter_mut()) {
-                        let value = evaluator.value(map, &hit);
-                        counts.behind += u64::from(self.is_behind(map.what, value));
-                        rows.write(at, value, map.what.kind(), map.what.halved(self.options.depth));
-                    }
-                }
-                continue;
-            }
-            values.resize_with(kinds.len(), Vec::new);
-            values.iter_mut().for_each(|v| v.resize(owners.len(), [0.0; 4]));
-            for (index, winner) in winners.iter_mut().enumerate().filter(|(_, w)| **w != 0) {
-                let Some(hit) = hit_at(index, *winner) else {
-                    *winner = 0;
-                    continue;
+            let (bin, into) = ([x, y], Texels { maps: &mut *maps, charts: &mut *charts, covered: &mut *covered });
+            counts = counts
+                + match self.sheet.samples {
+                    1 => self.texels(bin, evaluator, &mut locator, bench, into),
+                    _ => self.filtered(bin, evaluator, &mut locator, bench, into),
                 };
-                for (values, map) in values.iter_mut().zip(evaluator.maps) {
-                    values[index] = evaluator.value(map, &hit);
-                }
+        }
+        counts
+    }
+
+    /// The hits of one row of a bin's samples, by column.
+    fn row(&self, rect: Rect, row: usize, locator: &mut Locator<'_>, needs: Needs, bench: &mut Bench) {
+        let width = (rect.x1 - rect.x0) as usize;
+        bench.hits.clear();
+        let row_of = row * width..(row + 1) * width;
+        let faces = bench.owners[row_of.clone()].iter().zip(&mut bench.winners[row_of]);
+        for (column, (owner, winner)) in faces.enumerate().filter(|(_, (_, winner))| **winner != 0) {
+            let sample = [rect.x0 + column as u32, rect.y0 + row as u32];
+            match locator.at(sample, *owner as usize - 1, *winner as usize - 1, needs) {
+                Some(hit) => bench.hits.push((column as u32, hit)),
+                None => *winner = 0,
             }
-            let samples = Samples { rect, owners, winners, values, charts: &self.charts };
-            for ty in texels.y0..texels.y1 {
-                for tx in texels.x0..texels.x1 {
-                    let texel = samples.texel(&tent, [tx, ty], &kinds, &mut texel_values);
-                    if texel.chart == 0 {
-                        continue;
-                    }
-                    let at = at(tx, ty);
-                    charts[at] = texel.chart;
-                    counts.owned += 1;
-                    let [hit, all] = texel.weight;
-                    if hit == 0.0 {
-                        continue;
-                    }
-                    covered[at] = true;
-                    counts.covered += 1;
-                    for ((map, rows), value) in evaluator.maps.iter().zip(maps.iter_mut()).zip(&texel_values) {
-                        let share = hit / all;
-                        let coverage = map.what == What::Extra(ExtraMap::Coverage);
-                        let value = if coverage { [share, share, share, 1.0] } else { *value };
-                        counts.behind += u64::from(self.is_behind(map.what, value));
-                        rows.write(at, value, map.what.kind(), map.what.halved(self.options.depth));
-                    }
-                }
+        }
+    }
+
+    /// A bin of one sample a texel: nothing to be filtered.
+    fn texels(
+        &self,
+        [x, y]: [u32; 2],
+        evaluator: &Evaluator<'_>,
+        locator: &mut Locator<'_>,
+        bench: &mut Bench,
+        into: Texels<'_, '_>,
+    ) -> Counts {
+        let mut counts = Counts::default();
+        let rect = self.sheet.samples(x, y);
+        let width = (rect.x1 - rect.x0) as usize;
+        let needs = evaluator.needs();
+        for row in 0..(rect.y1 - rect.y0) as usize {
+            let start = row * self.sheet.size as usize + rect.x0 as usize;
+            self.row(rect, row, locator, needs, bench);
+            let owners = &bench.owners[row * width..(row + 1) * width];
+            for (chart, owner) in into.charts[start..start + width].iter_mut().zip(owners).filter(|(_, o)| **o != 0) {
+                *chart = self.charts[*owner as usize - 1] + 1;
+                counts.owned += 1;
+            }
+            counts.covered += bench.hits.len() as u64;
+            for (column, _) in &bench.hits {
+                into.covered[start + *column as usize] = true;
+            }
+            for (map, rows) in evaluator.maps.iter().zip(into.maps.iter_mut()) {
+                let (kind, halved) = (map.what.kind(), map.what.halved(self.options.depth));
+                let normal = self.is_tangent_normal(map.what);
+                evaluator.each(map, &bench.hits, |column, value| {
+                    counts.behind += u64::from(normal && value[2] < 0.0);
+                    rows.write(start + column, value, kind, halved);
+                });
             }
         }
         counts
     }
+
+    /// A bin of several samples a texel.
+    fn filtered(
+        &self,
+        [x, y]: [u32; 2],
+        evaluator: &Evaluator<'_>,
+        locator: &mut Locator<'_>,
+        bench: &mut Bench,
+        into: Texels<'_, '_>,
+    ) -> Counts {
+        let mut counts = Counts::default();
+        let rect = self.sheet.samples(x, y);
+        let width = (rect.x1 - rect.x0) as usize;
+        let kinds: Vec<Kind> = evaluator.maps.iter().map(|m| m.what.kind()).collect();
+        let mut values = std::mem::take(&mut bench.values);
+        values.resize_with(kinds.len(), Vec::new);
+        values.iter_mut().for_each(|v| v.resize(bench.owners.len(), [0.0; 4]));
+        for row in 0..(rect.y1 - rect.y0) as usize {
+            self.row(rect, row, locator, evaluator.needs(), bench);
+            for (map, values) in evaluator.maps.iter().zip(&mut values) {
+                evaluator.each(map, &bench.hits, |column, value| values[row * width + column] = value);
+            }
+        }
+        let tent = Tent::new(self.sheet.samples);
+        let mut out = vec![[0.0; 4]; kinds.len()];
+        let samples =
+            Samples { rect, owners: &bench.owners, winners: &bench.winners, values: &values, charts: &self.charts };
+        let texels = self.sheet.texels(x, y);
+        for ty in texels.y0..texels.y1 {
+            for tx in texels.x0..texels.x1 {
+                let texel = samples.texel(&tent, [tx, ty], &kinds, &mut out);
+                if texel.chart == 0 {
+                    continue;
+                }
+                let at = (ty - texels.y0) as usize * self.sheet.size as usize + tx as usize;
+                into.charts[at] = texel.chart;
+                counts.owned += 1;
+                let [hit, all] = texel.weight;
+                if hit == 0.0 {
+                    continue;
+                }
+                into.covered[at] = true;
+                counts.covered += 1;
+                let share = hit / all;
+                for ((map, rows), value) in evaluator.maps.iter().zip(into.maps.iter_mut()).zip(&out) {
+                    let coverage = map.what == What::Extra(ExtraMap::Coverage);
+                    let value = if coverage { [share, share, share, 1.0] } else { *value };
+                    counts.behind += u64::from(self.is_tangent_normal(map.what) && value[2] < 0.0);
+                    rows.write(at, value, map.what.kind(), map.what.halved(self.options.depth));
+                }
+            }
+        }
+        bench.values = values;
+        counts
+    }
+}
+
+/// Where a row of bins is written.
+struct Texels<'a, 'm> {
+    maps: &'a mut [Rows<'m>],
+    charts: &'a mut [u32],
+    covered: &'a mut [bool],
 }
 
 /// Which high face each texel of a sheet shows: the hit pass alone, before anything is sampled; for measuring.
@@ -552,7 +609,7 @@ impl HitBuffer<'_> {
                         continue;
                     }
                     let sample = [x as u32, y as u32];
-                    if let Some(hit) = locator.at(sample, low as usize - 1, high as usize - 1, false) {
+                    if let Some(hit) = locator.at(sample, low as usize - 1, high as usize - 1, Needs::default()) {
                         *slot = visit(&hit);
                     }
                 }

@@ -36,6 +36,15 @@ impl HitPoint {
     }
 }
 
+/// What of a hit is to be worked out beside its place.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Needs {
+    /// Its change from sample to sample.
+    pub(crate) steps: bool,
+    /// Its distance from the low surface.
+    pub(crate) height: bool,
+}
+
 /// How a sample finds its place on the high face that won it.
 #[derive(Clone, Copy)]
 pub(crate) enum Meeting<'a> {
@@ -78,7 +87,8 @@ fn meet((origin, direction): (DVec3, DVec3), corners: &[DVec3; 3]) -> Meet {
     // The sum is d . n.
     let sum = e[0] + e[1] + e[2];
     let height = a.dot((b - a).cross(c - a));
-    Meet { bary: e.map(|e| e / sum), t: height / sum, turned: sum < 0.0 }
+    let share = 1.0 / sum;
+    Meet { bary: e.map(|e| e * share), t: height * share, turned: sum < 0.0 }
 }
 
 /// Barycentric coordinates in a layout, as affine functions of the place.
@@ -110,10 +120,10 @@ impl<'a> Locator<'a> {
         Locator { low, high, meeting, kept, pair: [usize::MAX; 2], corners: [DVec3::ZERO; 3], flat: nowhere }
     }
 
-    /// The hit of a sample (column, row on the sheet of samples) of `low` whose winner is `high`. With `steps` its change over a
-    /// sample is worked out too. `None`: the low face has no lines.
-    #[inline]
-    pub(crate) fn at(&mut self, sample: [u32; 2], low: usize, high: usize, steps: bool) -> Option<HitPoint> {
+    /// The hit of a sample (column, row on the sheet of samples) of `low` whose winner is `high`. What is not
+    /// needed is 0. `None`: the low face has no lines.
+    #[inline(always)]
+    pub(crate) fn at(&mut self, sample: [u32; 2], low: usize, high: usize, needs: Needs) -> Option<HitPoint> {
         let kept = &mut self.kept[low % KEPT];
         if kept.0 != low {
             *kept = (low, self.low.lines(low));
@@ -129,16 +139,20 @@ impl<'a> Locator<'a> {
         let place = lines.place(sample, self.low.samples);
         let line = lines.line(place);
         let found = meet(line, &self.corners);
-        let (bary, height) = match self.meeting {
-            Meeting::Line => (found.bary, found.t * line.1.length()),
+        let bary = match self.meeting {
+            Meeting::Line => found.bary,
+            Meeting::Layout(_) => self.in_layout(lines, place),
+        };
+        let height = match self.meeting {
+            _ if !needs.height => 0.0,
+            Meeting::Line => found.t * line.1.length(),
             Meeting::Layout(_) => {
-                let bary = self.in_layout(lines, place);
                 let point = self.corners[0] * bary[0] + self.corners[1] * bary[1] + self.corners[2] * bary[2];
-                (bary, (point - line.0).dot(line.1.normalize_or_zero()))
+                (point - line.0).dot(line.1.normalize_or_zero())
             }
         };
         let (mut step_x, mut step_y) = ([0.0; 3], [0.0; 3]);
-        if steps {
+        if needs.steps {
             let step = 1.0 / f64::from(self.low.samples);
             let change = |place: DVec2| {
                 let other = match self.meeting {
@@ -168,22 +182,29 @@ impl<'a> Locator<'a> {
     }
 }
 
+#[inline]
 fn finite(value: f32) -> f32 {
     if value.is_finite() { value } else { 0.0 }
 }
 
 /// Barycentric coordinates moved into the triangle: winners are found with edges opened by their rounding.
+#[inline]
 fn inside(bary: [f64; 3]) -> [f32; 3] {
+    if bary[0].min(bary[1]).min(bary[2]) >= 0.0 && bary[0].is_finite() {
+        return bary.map(|b| b as f32);
+    }
     let clamped = bary.map(|b| b.max(0.0));
     let sum: f64 = clamped.iter().sum();
     if sum > 0.0 && sum.is_finite() { clamped.map(|b| (b / sum) as f32) } else { [1.0 / 3.0; 3] }
 }
 /// `values[corner]` mixed by `bary`.
+#[inline]
 pub(crate) fn mix3(values: [Vec3; 3], bary: [f32; 3]) -> Vec3 {
     values[0] * bary[0] + values[1] * bary[1] + values[2] * bary[2]
 }
 
 /// `values[corner]` mixed by `bary`.
+#[inline]
 pub(crate) fn mix4(values: [Vec4; 3], bary: [f32; 3]) -> Vec4 {
     values[0] * bary[0] + values[1] * bary[1] + values[2] * bary[2]
 }

@@ -205,9 +205,12 @@ impl<'a> Search<'a> {
             let row = |e: &[f64; 6]| [e[0] + v * (e[2] + v * e[5]), e[1] + v * e[4], e[3]];
             let [a, b, c] = [row(&target.edges[0]), row(&target.edges[1]), row(&target.edges[2])];
             let height = target.height[0] + target.height[2] * v;
+            let (from, to) =
+                if self.back_faces { (0, x1 - x0) } else { span([&a, &b, &c], target.open, [first, step], x1 - x0) };
             let start = (y - bin.rect.y0) as usize * width + (x0 - bin.rect.x0) as usize;
-            for (k, index) in (start..start + (x1 - x0) as usize).enumerate() {
-                let u = first + k as f64 * step;
+            for k in from..to {
+                let index = start + k as usize;
+                let u = first + f64::from(k) * step;
                 let value = |e: &[f64; 3]| e[0] + u * (e[1] + u * e[2]);
                 let (ea, eb, ec) = (value(&a), value(&b), value(&c));
                 let sum = ea + eb + ec;
@@ -239,6 +242,31 @@ impl<'a> Search<'a> {
             }
         }
     }
+}
+
+/// The samples of a row, of `count` from `first` in steps of `step`, outside of which one of three quadratics is below `-open`: a first and
+/// one behind the last. Within them it may be too.
+#[inline]
+fn span(edges: [&[f64; 3]; 3], open: f64, [first, step]: [f64; 2], count: u32) -> (u32, u32) {
+    // About the middle of the row a quadratic is its tangent and at most this much more.
+    let half = 0.5 * f64::from(count) * step;
+    let middle = first + half - 0.5 * step;
+    let (mut from, mut to) = (-half, half);
+    for e in edges {
+        let value = e[0] + middle * (e[1] + middle * e[2]) + e[2].max(0.0) * half * half + open;
+        let slope = e[1] + 2.0 * middle * e[2];
+        let root = -value / slope;
+        if slope > 0.0 {
+            from = from.max(root);
+        } else if slope < 0.0 {
+            to = to.min(root);
+        } else if value < 0.0 {
+            return (0, 0);
+        }
+    }
+    // A sample more on either side for what rounding does to the roots. Casts saturate.
+    let sample = |at: f64| (at + half) / step - 0.5;
+    (sample(from) as u32, ((sample(to) + 2.0).max(0.0) as u32).min(count))
 }
 
 /// The inner side of an edge of a low face on the sheet of samples: `a x + b y + c >= 0`.

@@ -13,7 +13,7 @@ use super::*;
 use crate::tangents::{UvSource, mikktspace};
 use crate::transfer::low::Low;
 use crate::transfer::resolve::TangentFrame;
-use crate::transfer::resolve::{Locator, Meeting};
+use crate::transfer::resolve::{Locator, Meeting, Needs};
 use crate::transfer::{Backend, BakeError, Matching, check};
 
 /// A set of one material that `shape` fills in, with `count` images, one texture each, sampled as `sampler`.
@@ -92,7 +92,7 @@ fn tangent_space_read_back_gives_the_object_space_normals_on_mirrored_charts_too
             if h == 0 {
                 continue;
             }
-            let hit = locator.at([texel as u32 % 64, texel as u32 / 64], l - 1, h - 1, false).unwrap();
+            let hit = locator.at([texel as u32 % 64, texel as u32 / 64], l - 1, h - 1, Needs::default()).unwrap();
             let corners = low.triangles[hit.low].map(|v| v as usize);
             let normals = corners.map(|v| low.normals.as_ref().unwrap()[v]);
             let tangents = corners.map(|v| low.tangents.as_ref().unwrap()[v]);

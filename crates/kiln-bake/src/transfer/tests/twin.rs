@@ -211,7 +211,7 @@ fn the_device_finds_what_the_cpu_finds_on_five_models() {
                 cpu.report.pairs,
                 100.0 * ids / covered,
             );
-            assert!(ids < 0.005 * covered, "{name}: {ids} ids of {covered} differ");
+            assert!(ids < 0.02 * covered, "{name}: {ids} ids of {covered} differ");
             assert!(coverage < 0.001 * covered, "{name}: coverage differs on {coverage} texels");
             assert!(calm as f64 > 0.25 * covered, "{name}: {calm} of {covered} are away from edges");
             assert!(mean < 0.25 && p99 < 2.0, "{name}: mean {mean}, p99 {p99} degrees");

@@ -147,3 +147,23 @@ fn every_key_of_a_metric_of_views_makes_its_collapse_run_again_and_nothing_befor
         assert!(!ran.iter().any(|stage| stage.starts_with("near") || stage == "import"), "{key}: {ran:?}");
     }
 }
+
+#[test]
+fn texel_density_builds_and_gives_each_submesh_its_factor_and_a_time_limit_makes_nothing_stale() {
+    let space = copied("texel-density.toml");
+    let args = ["build", "pipelines/texel-density.toml", "--backend", "cpu", "--json"];
+    let report = space.run(args).expect(0).json();
+    space.run(["check", "pipelines/build/texel-density/pot.kiln"]).expect(0);
+    let atlas = report["assets"][0]["stages"].as_array().unwrap().iter().find(|s| s["stage"] == "atlas").unwrap();
+    let densities = atlas["report"]["densities"].as_array().unwrap();
+    let got = |name: &str| densities.iter().find(|d| d["submesh"] == name).unwrap()["texels_per_unit"].as_f64().unwrap();
+    let ratio = got("lid") / got("base");
+    assert!((ratio / 4.0 - 1.0).abs() < 0.02, "{atlas:#}");
+    assert_eq!((&atlas["report"]["clean_mip"], &atlas["report"]["clean_mip_bilinear"]), (&2.into(), &2.into()));
+
+    let hasty = [&args[..], &["--set", "stage.atlas.time-limit=0"]].concat();
+    assert_eq!(space.run(hasty).expect(0).json()["fresh"], true);
+    let vain = [&args[..], &["--set", "stage.atlas.density=[{ name = \"lit\", factor = 2 }]"]].concat();
+    let short = space.run(vain).expect(1).json();
+    assert!(short["short"][0].as_str().unwrap().contains("\"lit\" matches no submesh"), "{short:#}");
+}

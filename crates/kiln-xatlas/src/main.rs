@@ -3,7 +3,7 @@
 //! ```text
 //! charts <- xatlas on the surface at 128 times unit scale     xatlas has absolute tolerances: at unit scale the Stanford
 //!                                                             bunny shatters into 1,053 charts and leaves 13 faces out
-//! for density from full coverage downwards, 6 % a step:
+//! for density from full coverage downwards, 6 % a step (or once, at the density that was asked):
 //!     pack into a sheet of the size asked less the padding at its rim
 //!     stop if one sheet holds all, and none was shrunk to fit
 //! move by the rim's padding; reply
@@ -12,6 +12,8 @@
 //! which mirrors; they still are laid along their own axes. Every face's place is read from its corners, and a face whose
 //! corners lie on no sheet is reported as unplaced. `face_ignore_data` is never set: the binding passes one flag where
 //! xatlas reads one a face.
+//!
+//! The worker ends when whoever started it is gone, however that came about: nobody is left to read the reply.
 
 use std::io::{Read, Write};
 use std::process::ExitCode;
@@ -29,6 +31,7 @@ const DENSITY_STEP: f32 = 0.94;
 const DENSITY_STEPS: u32 = 110;
 
 fn main() -> ExitCode {
+    end_with_parent();
     let mut bytes = Vec::new();
     if let Err(error) = std::io::stdin().lock().read_to_end(&mut bytes) {
         eprintln!("reading the request: {error}");
@@ -47,6 +50,21 @@ fn main() -> ExitCode {
             eprintln!("writing the reply: {error}");
             ExitCode::FAILURE
         }
+    }
+}
+
+/// Looks twice a second whether the process that started this one is still its parent.
+fn end_with_parent() {
+    #[cfg(unix)]
+    {
+        use std::os::unix::process::parent_id;
+        let parent = parent_id();
+        std::thread::spawn(move || {
+            while parent_id() == parent {
+                std::thread::sleep(std::time::Duration::from_millis(500));
+            }
+            std::process::exit(1);
+        });
     }
 }
 
@@ -72,9 +90,9 @@ fn answer(request: &Request) -> Reply {
     let inner = request.size - 2 * rim;
     let areas: Vec<f32> = request.triangles.iter().map(|t| area(&positions, *t)).collect();
     let full = inner as f32 / areas.iter().map(|a| f64::from(*a)).sum::<f64>().sqrt() as f32;
-    let mut density = full;
+    let (mut density, steps) = if request.density > 0.0 { (request.density / SCALE, 1) } else { (full, DENSITY_STEPS) };
     let mut charts = 0;
-    for _ in 0..DENSITY_STEPS {
+    for _ in 0..steps {
         xatlas.pack_charts(&PackOptions {
             padding: rim,
             resolution: inner,

@@ -2,7 +2,7 @@
 //! message ends with its last array.
 //!
 //! ```text
-//! request: "KXRQ", version u32, size u32, padding u32, point count u32, face count u32,
+//! request: "KXRQ", version u32, size u32, padding u32, point count u32, face count u32, density f32,
 //!          positions [points] x 3 f32, triangles [faces] x 3 u32, groups [faces] u32
 //! reply:   "KXRP", version u32, kind u32
 //!     kind 0, charts placed: face count u32, charts [faces] u32, corners [faces] x 3 x 2 f32
@@ -14,7 +14,7 @@
 //! allocated, indices and numbers are checked, nothing is left over.
 
 /// Version of this page. Worker and kiln must agree on it.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 /// Chart of a face that has none.
 pub const UNPLACED: u32 = u32::MAX;
@@ -56,6 +56,8 @@ pub struct Request {
     pub size: u32,
     /// Least empty space between charts, texels.
     pub padding: u32,
+    /// Texels per length of the surface, or 0 for as many as fit the sheet.
+    pub density: f32,
     /// `[point_count]`, the surface scaled to a bounding box of unit diagonal.
     pub positions: Vec<[f32; 3]>,
     /// `[face_count] x 3` indices into `positions`.
@@ -91,6 +93,7 @@ impl Request {
         let mut bytes = Self::MAGIC.to_vec();
         let counts = [self.positions.len() as u32, self.triangles.len() as u32];
         put(&mut bytes, [VERSION, self.size, self.padding].into_iter().chain(counts));
+        put(&mut bytes, [self.density.to_bits()]);
         put(&mut bytes, self.positions.as_flattened().iter().map(|c| c.to_bits()));
         put(&mut bytes, self.triangles.as_flattened().iter().copied());
         put(&mut bytes, self.groups.iter().copied());
@@ -104,6 +107,10 @@ impl Request {
     pub fn decode(bytes: &[u8]) -> Result<Request, ProtocolError> {
         let mut words = Words::open(bytes, Self::MAGIC, "request")?;
         let [size, padding, points, faces] = words.take()?;
+        let [density] = words.floats()?;
+        if density < 0.0 {
+            return Err(ProtocolError::Value(format!("a density of {density}")));
+        }
         words.expect(3 * u64::from(points) + 4 * u64::from(faces))?;
         let positions: Vec<[f32; 3]> = (0..points).map(|_| words.floats()).collect::<Result<_, _>>()?;
         let triangles: Vec<[u32; 3]> = (0..faces).map(|_| words.take()).collect::<Result<_, _>>()?;
@@ -111,7 +118,7 @@ impl Request {
             return Err(ProtocolError::Value(format!("point {index} of {points}")));
         }
         let groups = (0..faces).map(|_| words.take().map(|[group]| group)).collect::<Result<_, _>>()?;
-        Ok(Request { size, padding, positions, triangles, groups })
+        Ok(Request { size, padding, density, positions, triangles, groups })
     }
 }
 
@@ -224,6 +231,7 @@ mod tests {
         Request {
             size: 256,
             padding: 4,
+            density: 96.5,
             positions: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.5, 0.0]],
             triangles: vec![[0, 1, 2], [2, 1, 0]],
             groups: vec![0, 5],

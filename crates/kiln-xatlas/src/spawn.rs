@@ -1,7 +1,8 @@
 //! Runs the worker: one child a request, limited in time and memory, killed when it overstays or when asked to.
 //!
 //! The memory limit is the shell's `ulimit -v` (address space) in front of an `exec`, so that no unsafe code of ours runs
-//! between fork and exec; it holds on Unix only. Standard input is written and the outputs are read by threads of their own,
+//! between fork and exec; it holds on Unix only. The worker itself looks whether its parent is still there, so that a parent that
+//! is killed leaves nothing running. Standard input is written and the outputs are read by threads of their own,
 //! so that neither side waits for the other; all they hold is bounded.
 
 use std::io::{Read, Write};
@@ -20,8 +21,8 @@ const ERROR_TEXT_MAX: u64 = 4096;
 /// What a worker may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WorkerLimits {
-    /// Wall-clock seconds. A worker that needs more is killed, and that is an error: time never chooses a result.
-    pub seconds: u64,
+    /// Wall-clock time, `None` for any. A worker that needs more is killed, and that is an error: time never chooses a result.
+    pub time: Option<Duration>,
     /// Address space, bytes; Unix only.
     pub memory_bytes: u64,
 }
@@ -29,7 +30,7 @@ pub struct WorkerLimits {
 impl Default for WorkerLimits {
     /// Ten minutes and 8 GiB: xatlas takes about a minute and less than 1 GiB for 70,000 triangles.
     fn default() -> Self {
-        WorkerLimits { seconds: 600, memory_bytes: 8 << 30 }
+        WorkerLimits { time: Some(Duration::from_secs(600)), memory_bytes: 8 << 30 }
     }
 }
 
@@ -37,7 +38,7 @@ impl Default for WorkerLimits {
 #[derive(Debug, thiserror::Error)]
 pub enum WorkerError {
     /// The program could not be started.
-    #[error("the worker {program} could not be started: {error}")]
+    #[error("the worker {program} could not be started: {error}; use unwrapper = \"uvunwrap\" or \"auto\"")]
     Start {
         /// Its path.
         program: String,
@@ -45,30 +46,40 @@ pub enum WorkerError {
         error: std::io::Error,
     },
     /// It ran out of time.
-    #[error("xatlas did not finish within {seconds} s; use unwrapper = \"uvunwrap\" or a coarser base level")]
+    #[error(
+        "xatlas did not finish within {:.0} s; use unwrapper = \"uvunwrap\" or \"auto\", or a coarser base level",
+        .limit.as_secs_f64()
+    )]
     TimeLimit {
         /// The limit.
-        seconds: u64,
+        limit: Duration,
     },
     /// It was asked to stop.
     #[error("cancelled")]
     Cancelled,
     /// It failed.
-    #[error("the worker ended with {status}{}{text}; use unwrapper = \"uvunwrap\" or allow more memory", separator(.text))]
+    #[error(
+        "the worker ended with {status}{}{text} (it may use {} MiB); use unwrapper = \"uvunwrap\" or \"auto\", or a coarser \
+         base level",
+        separator(.text),
+        .memory_bytes >> 20
+    )]
     Failed {
+        /// What it was allowed.
+        memory_bytes: u64,
         /// How it ended.
         status: ExitStatus,
         /// What it said on standard error.
         text: String,
     },
     /// It sent more than any reply to that request can be.
-    #[error("the worker sent more than {limit} bytes")]
+    #[error("the worker sent more than {limit} bytes; use unwrapper = \"uvunwrap\" or \"auto\"")]
     TooLong {
         /// The most that is read, bytes.
         limit: u64,
     },
     /// A pipe broke.
-    #[error("the worker's pipes failed: {0}")]
+    #[error("the worker's pipes failed: {0}; use unwrapper = \"uvunwrap\" or \"auto\"")]
     Io(#[from] std::io::Error),
 }
 
@@ -130,7 +141,7 @@ fn run(
     };
     // A reply holds 28 bytes a face, a request 16 bytes a face and 12 a point.
     let limit = 4 * request.len() as u64 + 65536;
-    let deadline = Instant::now() + Duration::from_secs(limits.seconds);
+    let start = Instant::now();
     let request = request.to_vec();
     // Not scoped: a grandchild that holds a pipe open must not keep us here after the kill.
     let writer = thread::spawn(move || input.write_all(&request));
@@ -143,8 +154,8 @@ fn run(
         if cancel.load(Ordering::Relaxed) {
             return Err(WorkerError::Cancelled);
         }
-        if Instant::now() >= deadline {
-            return Err(WorkerError::TimeLimit { seconds: limits.seconds });
+        if let Some(limit) = limits.time.filter(|limit| start.elapsed() >= *limit) {
+            return Err(WorkerError::TimeLimit { limit });
         }
         if reader.is_finished() {
             // Its output is closed or too long; either way it has nothing more to say to us.
@@ -166,7 +177,7 @@ fn run(
     if !status.success() {
         let text = joined(listener).unwrap_or_default();
         let text = String::from_utf8_lossy(&text).trim().to_owned();
-        return Err(WorkerError::Failed { status, text });
+        return Err(WorkerError::Failed { memory_bytes: limits.memory_bytes, status, text });
     }
     writer.join().map_err(|_| std::io::Error::other("the writer panicked"))??;
     Ok(reply)
@@ -197,12 +208,72 @@ fn joined(thread: thread::JoinHandle<std::io::Result<Vec<u8>>>) -> std::io::Resu
 mod tests {
     use super::*;
 
-    const LIMITS: WorkerLimits = WorkerLimits { seconds: 60, memory_bytes: 1 << 30 };
+    const LIMITS: WorkerLimits = WorkerLimits { time: Some(Duration::from_secs(60)), memory_bytes: 1 << 30 };
 
     fn script(text: &str, limits: WorkerLimits, cancel: bool) -> Result<Vec<u8>, WorkerError> {
         let mut command = Command::new("/bin/sh");
         command.args(["-c", text]);
         run(command, &[7; 200_000], &limits, &AtomicBool::new(cancel))
+    }
+
+    fn assert_names_the_alternatives(error: &WorkerError) {
+        let text = error.to_string();
+        assert!(text.contains("\"uvunwrap\"") && text.contains("\"auto\""), "{text}");
+    }
+
+    /// Runs a script that first writes its process id, then `rest`; ends it as `limits` and `cancel` say. The error, and the id.
+    fn noted(rest: &str, limits: WorkerLimits, cancel: &AtomicBool) -> (WorkerError, u32) {
+        let note = std::env::temp_dir().join(format!("kiln-xatlas-{}-{}", std::process::id(), rest.len()));
+        let mut command = Command::new("/bin/sh");
+        command.args(["-c", &format!("echo $$ > '{0}.part' && mv '{0}.part' '{0}'; {rest}", note.display())]);
+        let error = thread::scope(|scope| {
+            let child = scope.spawn(|| run(command, &[], &limits, cancel).expect_err("it never ends by itself"));
+            while !note.is_file() && !child.is_finished() {
+                thread::yield_now();
+            }
+            if limits.time.is_none() {
+                cancel.store(true, Ordering::Relaxed);
+            }
+            child.join().expect("no panic")
+        });
+        let id = std::fs::read_to_string(&note).expect("written").trim().parse().expect("a number");
+        std::fs::remove_file(&note).expect("there");
+        (error, id)
+    }
+
+    /// Whether a process of that id is there (a zombie, too).
+    fn is_there(id: u32) -> bool {
+        let status = Command::new("/bin/sh").args(["-c", &format!("kill -0 {id}")]).stderr(Stdio::null()).status();
+        status.expect("sh").success()
+    }
+
+    #[test]
+    fn a_child_that_is_cancelled_at_work_is_gone_when_the_error_is_here() {
+        let limits = WorkerLimits { time: None, ..LIMITS };
+        let (error, id) = noted("while :; do :; done", limits, &AtomicBool::new(false));
+        assert!(matches!(error, WorkerError::Cancelled), "{error}");
+        assert!(!is_there(id), "killed and waited for");
+    }
+
+    #[test]
+    fn a_child_that_overstays_at_work_is_gone_when_the_error_is_here() {
+        let limits = WorkerLimits { time: Some(Duration::from_secs(2)), ..LIMITS };
+        let (error, id) = noted("while true; do :; done", limits, &AtomicBool::new(false));
+        assert!(matches!(error, WorkerError::TimeLimit { .. }), "{error}");
+        assert!(!is_there(id), "killed and waited for");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_child_that_wants_more_memory_than_it_may_use_fails_and_the_error_names_the_alternatives() {
+        let greedy = "x=0123456789abcdef; while :; do x=$x$x; done";
+        let limits = WorkerLimits { memory_bytes: 64 << 20, ..LIMITS };
+        // A shell without arguments takes its script from standard input.
+        let error = run(limited(Path::new("/bin/sh"), &limits), greedy.as_bytes(), &limits, &AtomicBool::new(false))
+            .expect_err("64 MiB");
+        assert!(matches!(&error, WorkerError::Failed { .. }), "{error}");
+        assert!(error.to_string().contains("64 MiB"), "{error}");
+        assert_names_the_alternatives(&error);
     }
 
     #[test]
@@ -220,10 +291,10 @@ mod tests {
 
     #[test]
     fn a_child_that_overstays_is_killed() {
-        let limits = WorkerLimits { seconds: 0, ..LIMITS };
+        let limits = WorkerLimits { time: Some(Duration::ZERO), ..LIMITS };
         let error = script("while :; do :; done", limits, false).expect_err("endless");
-        assert!(matches!(error, WorkerError::TimeLimit { seconds: 0 }), "{error}");
-        assert!(error.to_string().contains("uvunwrap"), "names the alternative");
+        assert!(matches!(error, WorkerError::TimeLimit { limit: Duration::ZERO }), "{error}");
+        assert_names_the_alternatives(&error);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::time::Duration;
 
 use kiln_pipeline::stages::XatlasWorker;
 use kiln_xatlas::spawn::{WorkerLimits, run_worker};
@@ -18,11 +19,12 @@ pub fn find() -> Option<PathBuf> {
     own.ancestors().skip(1).take(2).map(|folder| folder.join(&name)).find(|path| path.is_file())
 }
 
-/// Runs `program` once for a request: limited in time and memory, killed when `cancel` is set.
+/// Runs `program` once for a request: limited in memory and by what is left of the stage's time, killed when `cancel` is set.
 pub fn runner(program: PathBuf, cancel: Arc<AtomicBool>) -> XatlasWorker {
-    Arc::new(move |request: &[u8]| run(&program, request, &cancel))
+    Arc::new(move |request: &[u8], left: Option<Duration>| run(&program, request, left, &cancel))
 }
 
-fn run(program: &Path, request: &[u8], cancel: &AtomicBool) -> Result<Vec<u8>, String> {
-    run_worker(program, request, &WorkerLimits::default(), cancel).map_err(|error| error.to_string())
+fn run(program: &Path, request: &[u8], left: Option<Duration>, cancel: &AtomicBool) -> Result<Vec<u8>, String> {
+    let limits = WorkerLimits { time: left, ..WorkerLimits::default() };
+    run_worker(program, request, &limits, cancel).map_err(|error| error.to_string())
 }

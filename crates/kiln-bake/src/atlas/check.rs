@@ -4,8 +4,11 @@
 //! centres, so it is found between them too: two faces overlap if no line separates them to within [`OVERLAP_DEPTH`].
 //! Padding is counted in whole empty texels between the texels that charts touch, in the chessboard metric (a diagonal step
 //! is one step), by fronts that grow from all charts at once until two meet.
+//!
+//! Every sheet is measured by itself. A `u` of sheet `s` is rounded to `2^-24` times the power of two above `s`, so faces there
+//! may lose an area that was thinner than that; on the first sheet, where nothing of the kind happens, none may.
 
-use glam::DVec2;
+use glam::{DVec2, Vec2};
 use kiln_asset::{FaceId, Mesh, UvLayout};
 
 use super::face_list;
@@ -21,6 +24,9 @@ const TOUCH_DEPTH: f64 = 1.0 / 256.0;
 
 /// Altitude below which a face's winding is noise, texels.
 const THIN: f64 = 1.0 / 256.0;
+
+/// Altitude below which a face may lose its area on a sheet beyond the first, texels: several times the rounding there.
+const LOST: f64 = 1.0 / 64.0;
 
 /// No more overlapping pairs are listed than this.
 const OVERLAPS_LISTED: usize = 1000;
@@ -50,6 +56,9 @@ pub enum AtlasDefect {
     /// Faces lie outside the sheet.
     #[error("faces outside the sheet: {}", face_list(.0))]
     Outside(Vec<FaceId>),
+    /// Faces lie on another sheet than the first face of their submesh.
+    #[error("faces on another sheet than the rest of their submesh: {}", face_list(.0))]
+    Scattered(Vec<FaceId>),
     /// Faces with an area on the surface have none on the sheet.
     #[error("faces without area on the sheet: {}", face_list(.0))]
     Collapsed(Vec<FaceId>),
@@ -84,7 +93,7 @@ pub struct Measure {
     pub charts: u32,
     /// Charts of less than one texel's area.
     pub tiny_charts: u32,
-    /// Share of the sheet inside charts, `[0, 1]`.
+    /// Share of the sheets inside charts, `[0, 1]`.
     pub coverage: f64,
     /// Least empty space between two charts, texels.
     pub padding: Option<u32>,
@@ -92,6 +101,8 @@ pub struct Measure {
     pub edge: u32,
     /// Texels per object unit.
     pub texels_per_unit: f64,
+    /// `[submesh_count]`, texels per object unit of each; 0 for those without an area.
+    pub of_submesh: Vec<f64>,
     /// L2 texture stretch, 1 at best.
     pub stretch: f64,
     /// Longest by shortest extent of a surface circle on the sheet, area-weighted mean.
@@ -101,11 +112,23 @@ pub struct Measure {
 /// Checks `mesh.atlas_uv` against `layout` (its `chart_count` is not read) and measures it.
 ///
 /// # Errors
-/// Every kind of defect that was found, once, with the faces that have it.
+/// Every kind of defect that was found on the first sheet that has any, once, with the faces that have it.
 pub fn check(mesh: &Mesh, layout: &UvLayout) -> Result<Measure, Vec<AtlasDefect>> {
     let Some(uvs) = &mesh.atlas_uv else { return Err(vec![AtlasDefect::NoUvs]) };
+    check_on(mesh, layout, &sheets_of(mesh, uvs, layout.sheets)?)
+}
+
+/// A face that [`check_on`] shall not see.
+pub(super) const UNSEEN: u32 = u32::MAX;
+
+/// [`check`] with the sheet of each face told (`[face_count]`, [`UNSEEN`] for those to leave out) instead of read off its UVs.
+pub(super) fn check_on(mesh: &Mesh, layout: &UvLayout, sheets: &[u32]) -> Result<Measure, Vec<AtlasDefect>> {
+    let Some(uvs) = &mesh.atlas_uv else { return Err(vec![AtlasDefect::NoUvs]) };
     let size = layout.size;
-    let corners = |f: FaceId| mesh.triangles[f.index()].map(|v| uvs[v as usize].as_dvec2() * f64::from(size));
+    let texels = |f: FaceId| {
+        let first = DVec2::new(f64::from(sheets[f.index()]), 0.0);
+        mesh.triangles[f.index()].map(|v| (uvs[v as usize].as_dvec2() - first) * f64::from(size))
+    };
     let mut defects = Vec::new();
     let mut list = |faces: Vec<FaceId>, defect: fn(Vec<FaceId>) -> AtlasDefect| {
         if !faces.is_empty() {
@@ -114,41 +137,95 @@ pub fn check(mesh: &Mesh, layout: &UvLayout) -> Result<Measure, Vec<AtlasDefect>
     };
 
     let inside = |uv: &DVec2| uv.min_element() >= 0.0 && uv.max_element() <= f64::from(size);
-    let all = || (0..mesh.face_count() as u32).map(FaceId);
-    list(all().filter(|f| !corners(*f).iter().all(inside)).collect(), AtlasDefect::Outside);
-    let required = chartable(mesh);
-    let area = |f: &FaceId| signed_area(corners(*f));
-    list(required.iter().copied().filter(|f| area(f) == 0.0).collect(), AtlasDefect::Collapsed);
+    let seen = |f: &FaceId| sheets[f.index()] != UNSEEN;
+    let all = || (0..mesh.face_count() as u32).map(FaceId).filter(seen);
+    list(all().filter(|f| !texels(*f).iter().all(inside)).collect(), AtlasDefect::Outside);
+    let area = |f: &FaceId| signed_area(texels(*f));
     // A face without area on the surface may have none here, but then it must not cover anything either.
     let covering: Vec<FaceId> = all().filter(|f| area(f) != 0.0).collect();
-    let mirrored = |f: &FaceId| area(f) > 0.5 * THIN * longest_edge(corners(*f));
+    let triangles: Vec<[DVec2; 3]> = covering.iter().map(|f| texels(*f)).collect();
+    let mut measure = Measure::default();
+    measure_stretch(mesh, &covering, &triangles, layout, &mut measure);
+    let thin = |f: &FaceId| sheets[f.index()] > 0 && altitude(mesh, *f) * measure.texels_per_unit < LOST;
+    let required = chartable(mesh);
+    list(required.iter().copied().filter(|f| seen(f) && area(f) == 0.0 && !thin(f)).collect(), AtlasDefect::Collapsed);
+    let mirrored = |f: &FaceId| area(f) > 0.5 * THIN * longest_edge(texels(*f));
     list(covering.iter().copied().filter(mirrored).collect(), AtlasDefect::Mirrored);
     if !defects.is_empty() {
         return Err(defects);
     }
 
-    let triangles: Vec<[DVec2; 3]> = covering.iter().map(|f| corners(*f)).collect();
-    let overlaps = overlaps(&triangles, f64::from(size), OVERLAP_DEPTH);
+    measure.edge = size;
+    for sheet in 0..layout.sheets.max(1) {
+        let here = |f: &FaceId| sheets[f.index()] == sheet;
+        let faces: Vec<FaceId> = covering.iter().copied().filter(here).collect();
+        check_sheet(mesh, &faces, &texels, layout, &mut measure)?;
+    }
+    Ok(measure)
+}
+
+/// The sheet of each face.
+fn sheets_of(mesh: &Mesh, uvs: &[Vec2], sheets: u32) -> Result<Vec<u32>, Vec<AtlasDefect>> {
+    if sheets <= 1 {
+        return Ok(vec![0; mesh.face_count()]);
+    }
+    let of = |t: &[u32; 3]| UvLayout::sheet_of(t.map(|v| uvs[v as usize])).min(sheets - 1);
+    let found: Vec<u32> = mesh.triangles.iter().map(of).collect();
+    let mut of_submesh = vec![u32::MAX; mesh.submeshes.len()];
+    let mut scattered = Vec::new();
+    for (face, (submesh, sheet)) in mesh.face_submesh.iter().zip(&found).enumerate() {
+        let first = &mut of_submesh[submesh.index()];
+        if *first == u32::MAX {
+            *first = *sheet;
+        }
+        if *first != *sheet {
+            scattered.push(FaceId(face as u32));
+        }
+    }
+    if scattered.is_empty() { Ok(found) } else { Err(vec![AtlasDefect::Scattered(scattered)]) }
+}
+
+/// Overlap, padding and charts of one sheet, added to `measure`. `faces`: those that cover something of it.
+fn check_sheet(
+    mesh: &Mesh,
+    faces: &[FaceId],
+    texels: &dyn Fn(FaceId) -> [DVec2; 3],
+    layout: &UvLayout,
+    measure: &mut Measure,
+) -> Result<(), Vec<AtlasDefect>> {
+    let mut defects = Vec::new();
+    let triangles: Vec<[DVec2; 3]> = faces.iter().map(|f| texels(*f)).collect();
+    let overlaps = overlaps(&triangles, f64::from(layout.size), OVERLAP_DEPTH);
     if !overlaps.is_empty() {
-        let pairs = overlaps.iter().map(|(a, b)| (covering[*a as usize], covering[*b as usize])).collect();
+        let pairs = overlaps.iter().map(|(a, b)| (faces[*a as usize], faces[*b as usize])).collect();
         defects.push(AtlasDefect::Overlap(pairs));
     }
-    let charts = charts_of(mesh, &covering);
-    let mut measure = Measure { charts: charts.iter().max().map_or(0, |c| c + 1), ..Measure::default() };
-    (measure.padding, measure.edge) = clearances(&triangles, &charts, size, layout.padding);
-    if let Some(found) = measure.padding.filter(|found| *found < layout.padding) {
+    let charts = charts_of(mesh, faces);
+    let count = charts.iter().max().map_or(0, |c| c + 1);
+    measure.charts += count;
+    let (padding, edge) = clearances(&triangles, &charts, layout.size, layout.padding);
+    if let Some(found) = padding.filter(|found| *found < layout.padding) {
         defects.push(AtlasDefect::Padding { expected: layout.padding, found });
     }
-    if measure.edge < layout.padding / 2 {
-        defects.push(AtlasDefect::Edge { expected: layout.padding / 2, found: measure.edge });
+    let expected = (layout.padding / 2).max(u32::from(layout.sheets > 1));
+    if edge < expected {
+        defects.push(AtlasDefect::Edge { expected, found: edge });
     }
-    measure_stretch(mesh, &covering, &triangles, size, &mut measure);
-    let mut chart_area = vec![0.0; measure.charts as usize];
+    measure.padding = measure.padding.into_iter().chain(padding).min();
+    measure.edge = measure.edge.min(edge);
+    let mut chart_area = vec![0.0; count as usize];
     for (chart, triangle) in charts.iter().zip(&triangles) {
         chart_area[*chart as usize] += signed_area(*triangle).abs();
     }
-    measure.tiny_charts = chart_area.iter().filter(|area| **area < 1.0).count() as u32;
-    if defects.is_empty() { Ok(measure) } else { Err(defects) }
+    measure.tiny_charts += chart_area.iter().filter(|area| **area < 1.0).count() as u32;
+    if defects.is_empty() { Ok(()) } else { Err(defects) }
+}
+
+/// Shortest extent of a face on the surface, object units.
+fn altitude(mesh: &Mesh, face: FaceId) -> f64 {
+    let [a, b, c] = mesh.face_positions(face).map(|p| p.as_dvec3());
+    let longest = (b - a).length().max((c - b).length()).max((a - c).length());
+    if longest > 0.0 { (b - a).cross(c - a).length() / longest } else { 0.0 }
 }
 
 fn longest_edge([a, b, c]: [DVec2; 3]) -> f64 {
@@ -158,7 +235,8 @@ fn longest_edge([a, b, c]: [DVec2; 3]) -> f64 {
 /// Pairs (lower, higher) of `triangles` that no line separates to within `depth`, sorted; the first thousand found. All
 /// coordinates in `[0, extent]`; `depth` in the same unit.
 ///
-/// A grid of about one cell a triangle holds each triangle in the cells it touches; pairs that share a cell are tried.
+/// A grid of about one cell a triangle holds each triangle in the cells it touches; pairs that share a cell and a range of rows
+/// are tried. Within a cell triangles stand by their first row, so that a cell that holds a whole statue does not try all pairs.
 pub(super) fn overlaps(triangles: &[[DVec2; 3]], extent: f64, depth: f64) -> Vec<(u32, u32)> {
     let side = (triangles.len() as f64).sqrt().ceil().clamp(1.0, 1024.0) as u32;
     let cells_from_unit = f64::from(side) / extent;
@@ -170,11 +248,20 @@ pub(super) fn overlaps(triangles: &[[DVec2; 3]], extent: f64, depth: f64) -> Vec
     }
     entries.sort_unstable();
     let mut pairs = Vec::new();
+    let rows = |t: u32| {
+        let [a, b, c] = triangles[t as usize].map(|p| p.y);
+        (a.min(b).min(c), a.max(b).max(c))
+    };
+    let mut sorted: Vec<((f64, f64), u32)> = Vec::new();
     for cell in entries.chunk_by(|a, b| a.0 == b.0) {
-        for (i, (_, a)) in cell.iter().enumerate() {
-            for (_, b) in &cell[i + 1..] {
+        sorted.clear();
+        sorted.extend(cell.iter().map(|(_, t)| (rows(*t), *t)));
+        sorted.sort_unstable_by(|a, b| a.0.0.total_cmp(&b.0.0).then(a.1.cmp(&b.1)));
+        for (i, ((_, last), a)) in sorted.iter().enumerate() {
+            // What begins below the last row of `a` is parted from it by a horizontal line.
+            for (_, b) in sorted[i + 1..].iter().take_while(|((first, _), _)| first <= last) {
                 if shared_depth(&triangles[*a as usize], &triangles[*b as usize]) > depth {
-                    pairs.push((*a, *b));
+                    pairs.push((*a.min(b), *a.max(b)));
                 }
             }
         }
@@ -338,15 +425,18 @@ fn slab_extent(triangle: &[DVec2; 3], low: f64, high: f64) -> Option<(f64, f64)>
     (least <= most).then_some((least, most))
 }
 
-/// Fills in coverage, density, stretch and anisotropy.
-fn measure_stretch(mesh: &Mesh, faces: &[FaceId], triangles: &[[DVec2; 3]], size: u32, measure: &mut Measure) {
+/// Fills in coverage, density, stretch and anisotropy. `triangles`: the faces in texels of their sheets.
+fn measure_stretch(mesh: &Mesh, faces: &[FaceId], triangles: &[[DVec2; 3]], layout: &UvLayout, measure: &mut Measure) {
     let (mut texels, mut surface, mut stretch, mut anisotropy) = (0.0, 0.0, 0.0, 0.0);
+    let mut of_submesh = vec![(0.0f64, 0.0f64); mesh.submeshes.len()];
     for (face, uv) in faces.iter().zip(triangles) {
         let [p, q, r] = mesh.face_positions(*face).map(|p| p.as_dvec3());
         let area = 0.5 * (q - p).cross(r - p).length();
         let texel_area = signed_area(*uv);
         texels += texel_area.abs();
         surface += area;
+        let of_submesh = &mut of_submesh[mesh.face_submesh[face.index()].index()];
+        (of_submesh.0, of_submesh.1) = (of_submesh.0 + texel_area.abs(), of_submesh.1 + area);
         if area == 0.0 {
             continue;
         }
@@ -359,8 +449,10 @@ fn measure_stretch(mesh: &Mesh, faces: &[FaceId], triangles: &[[DVec2; 3]], size
         stretch += 0.5 * (uu + vv) * area;
         anisotropy += ((uu + vv + root) / (uu + vv - root).max(f64::MIN_POSITIVE)).sqrt().min(1e6) * area;
     }
+    let density = |(texels, surface): (f64, f64)| if surface > 0.0 { (texels / surface).sqrt() } else { 0.0 };
+    measure.of_submesh = of_submesh.into_iter().map(density).collect();
     if surface > 0.0 && texels > 0.0 {
-        let square_size = f64::from(size) * f64::from(size);
+        let square_size = f64::from(layout.size) * f64::from(layout.size) * f64::from(layout.sheets.max(1));
         measure.coverage = texels / square_size;
         measure.texels_per_unit = (texels / surface).sqrt();
         measure.stretch = (stretch / surface).sqrt() * measure.texels_per_unit;

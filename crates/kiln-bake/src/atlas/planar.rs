@@ -5,8 +5,8 @@
 //!     cluster <- faces reached over uncut edges whose normal is within 40 degrees of the seed's
 //! for each cluster: project along its seed's normal
 //!     while two of its faces overlap: split it between the two (each face goes to the nearer, counted in faces)
-//! scale every chart to its surface area; lay it flat; sort by height
-//! bisect the density: fill shelves from left to right; keep the largest at which all shelves fit
+//! scale every chart to its surface area and density factor; lay it flat; sort by height
+//! bisect the density: fill shelves from left to right; keep the largest at which all shelves fit, or that which was asked
 //! ```
 //! A single face is its own isometry and overlaps nothing, so the splitting ends. Charts are more and coarser than
 //! `uvunwrap`'s, and shelves waste more of the sheet.
@@ -17,7 +17,7 @@ use glam::{DVec2, DVec3, Vec2};
 
 use super::check::overlaps;
 use super::surface::edges;
-use super::{UnwrapError, UnwrapInput, UnwrapOutput, Unwrapper};
+use super::{Stop, UnwrapError, UnwrapInput, UnwrapOutput, Unwrapper, Watch};
 
 /// Cosine of the widest angle between a face and its cluster's seed: 40 degrees, so that no face loses more than a quarter
 /// of its area by projection.
@@ -45,12 +45,16 @@ impl Unwrapper for Planar {
         "planar"
     }
 
-    fn unwrap(&self, input: &UnwrapInput) -> Result<UnwrapOutput, UnwrapError> {
+    fn unwrap(&self, input: &UnwrapInput, watch: &Watch<'_>) -> Result<UnwrapOutput, UnwrapError> {
         let neighbours = neighbours(input);
         let mut charts = Vec::new();
+        let mut done = 0;
         for cluster in clusters(input, &neighbours) {
-            flatten(input, &neighbours, cluster, &mut charts);
+            watch.progress(0.9 * done as f32 / input.triangles.len() as f32, "flattening clusters");
+            done += cluster.len();
+            flatten(input, &neighbours, cluster, &mut charts, watch)?;
         }
+        watch.progress(0.9, "packing charts");
         let (density, origins) = pack(&charts, input)?;
         let mut output = UnwrapOutput {
             corners: vec![[Vec2::ZERO; 3]; input.triangles.len()],
@@ -116,9 +120,16 @@ fn clusters(input: &UnwrapInput, neighbours: &[[u32; 3]]) -> Vec<Vec<u32>> {
 }
 
 /// Projects a cluster (its seed first) and splits it until nothing overlaps.
-fn flatten(input: &UnwrapInput, neighbours: &[[u32; 3]], cluster: Vec<u32>, charts: &mut Vec<Chart>) {
+fn flatten(
+    input: &UnwrapInput,
+    neighbours: &[[u32; 3]],
+    cluster: Vec<u32>,
+    charts: &mut Vec<Chart>,
+    watch: &Watch<'_>,
+) -> Result<(), Stop> {
     let mut rest = vec![cluster];
     while let Some(faces) = rest.pop() {
+        watch.go_on()?;
         let chart = project(input, faces);
         let extent = chart.extent.max_element();
         // Half of what the check forgives, were the chart as large as the sheet.
@@ -128,6 +139,7 @@ fn flatten(input: &UnwrapInput, neighbours: &[[u32; 3]], cluster: Vec<u32>, char
             None => charts.push(chart),
         }
     }
+    Ok(())
 }
 
 fn project(input: &UnwrapInput, faces: Vec<u32>) -> Chart {
@@ -140,7 +152,8 @@ fn project(input: &UnwrapInput, faces: Vec<u32>) -> Chart {
     let mut corners: Vec<[DVec2; 3]> = faces.iter().map(|f| input.triangles[*f as usize].map(place)).collect();
     let surface: f64 = faces.iter().map(|f| area_normal(input, *f).length()).sum();
     let flat: f64 = corners.iter().map(|[a, b, c]| (b - a).perp_dot(c - a).abs()).sum();
-    let scale = if flat > 0.0 { (surface / flat).sqrt() } else { 1.0 };
+    let factor = f64::from(input.scales[input.groups[faces[0] as usize] as usize]);
+    let scale = factor * if flat > 0.0 { (surface / flat).sqrt() } else { 1.0 };
     let (lo, hi) = bounds(&corners);
     let lying = (hi - lo).x >= (hi - lo).y;
     for p in corners.as_flattened_mut() {
@@ -207,6 +220,9 @@ fn pack(charts: &[Chart], input: &UnwrapInput) -> Result<(f64, Vec<DVec2>), Unwr
     // Below a hundredth of a texel for the longest chart there is nothing to look at.
     let (mut low, mut high) = (0.01 / longest, size / longest);
     let too_many = UnwrapError::DoesNotFit { charts: charts.len() as u32, size: input.size, padding: input.padding };
+    if let Some(density) = input.density {
+        return place(density).map(|origins| (density, origins)).ok_or(too_many);
+    }
     let mut best = place(low).ok_or(too_many)?;
     for _ in 0..BISECTIONS {
         let middle = (low * high).sqrt();

@@ -24,6 +24,13 @@ const PAIRED_FACES_MAX: usize = 64;
 /// Cosine between the normals of two faces below which they lie back to back: 172 degrees. No chart crosses such an edge.
 const FOLD_COSINE: f64 = -0.99;
 
+/// Most faces around one place that may share a chart. `uvunwrap` looks for overlaps by boxes on a grid, and the boxes of a hub's
+/// spokes cover most of it: the time grows with the third power. 2,000 spokes take 0.8 s; 50,000 had not ended after six minutes.
+const HUB_FACES_MAX: usize = 2048;
+
+/// Faces of each part of a hub that has more. 50,000 spokes take 22 s in parts of 64, 6 s in these.
+const HUB_PART_FACES: usize = 16;
+
 /// A mesh made ready for unwrapping.
 pub(super) struct Surface {
     /// What unwrappers get.
@@ -35,16 +42,104 @@ pub(super) struct Surface {
 }
 
 impl Surface {
-    pub(super) fn of(mesh: &Mesh, options: &AtlasOptions) -> Surface {
+    /// The surface of `faces` (ascending, each with an area). Its scale is that of the whole mesh, so that sheets compare.
+    pub(super) fn of(mesh: &Mesh, options: &AtlasOptions, faces: Vec<FaceId>) -> Surface {
         let points = unit_points(mesh);
-        let faces = chartable(mesh);
         let triangles: Vec<[u32; 3]> = faces.iter().map(|f| mesh.face_points(*f).map(|p| p.0)).collect();
         let (places, triangles) = fans(&points, &triangles);
         let positions = distinct(&places);
-        let (cuts, hard_edges) = cuts(mesh, &faces, &triangles);
-        let input = UnwrapInput { positions, triangles, cuts, size: options.size, padding: options.padding };
+        let (groups, scales) = groups(mesh, options, &faces);
+        let (mut cuts, hard_edges) = cuts(mesh, &faces, &triangles);
+        if scales.len() > 1 {
+            cut_between(&groups, &triangles, &mut cuts);
+        }
+        cut_hubs(&triangles, positions.len(), &mut cuts);
+        // Several sheets lie side by side: no chart may touch the edge between them.
+        let padding = if options.sheets > 1 { options.padding.max(1) } else { options.padding };
+        let size = options.size;
+        let input = UnwrapInput { positions, triangles, cuts, groups, scales, density: None, size, padding };
         Surface { input, faces, hard_edges }
     }
+}
+
+/// `[faces.len()]`, the group of each face, and `[group_count]`, the density factor of each: faces of one factor are one group.
+fn groups(mesh: &Mesh, options: &AtlasOptions, faces: &[FaceId]) -> (Vec<u32>, Vec<f32>) {
+    let mut scales: Vec<f32> = Vec::new();
+    let mut of_submesh = vec![u32::MAX; mesh.submeshes.len()];
+    let groups = faces
+        .iter()
+        .map(|f| {
+            let submesh = mesh.face_submesh[f.index()].index();
+            if of_submesh[submesh] == u32::MAX {
+                let factor = options.density(submesh);
+                let known = scales.iter().position(|scale| *scale == factor);
+                of_submesh[submesh] = known.unwrap_or(scales.len()) as u32;
+                if known.is_none() {
+                    scales.push(factor);
+                }
+            }
+            of_submesh[submesh]
+        })
+        .collect();
+    (groups, scales)
+}
+
+/// Cuts every edge between faces of different groups.
+fn cut_between(groups: &[u32], triangles: &[[u32; 3]], cuts: &mut [[bool; 3]]) {
+    for edge in edges(triangles).chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+        if edge.iter().any(|(_, _, f, _)| groups[*f] != groups[edge[0].2]) {
+            edge.iter().for_each(|(_, _, f, k)| cuts[*f][*k] = true);
+        }
+    }
+}
+
+/// Cuts every hub of more than [`HUB_FACES_MAX`] faces off from what lies around it, and into parts of [`HUB_PART_FACES`].
+fn cut_hubs(triangles: &[[u32; 3]], places: usize, cuts: &mut [[bool; 3]]) {
+    let mut faces_at = vec![0usize; places];
+    triangles.as_flattened().iter().for_each(|p| faces_at[*p as usize] += 1);
+    for hub in (0..places).filter(|p| faces_at[*p] > HUB_FACES_MAX).map(|p| p as u32) {
+        // Each spoke as (far end, face, edge), and each face with its corner at the hub.
+        let mut spokes = Vec::with_capacity(2 * faces_at[hub as usize]);
+        let mut around = Vec::with_capacity(faces_at[hub as usize]);
+        for (f, t) in triangles.iter().enumerate() {
+            if let Some(k) = t.iter().position(|p| *p == hub) {
+                spokes.extend([(t[(k + 1) % 3], around.len(), k), (t[(k + 2) % 3], around.len(), (k + 2) % 3)]);
+                around.push((f, k));
+            }
+        }
+        spokes.sort_unstable();
+        let part = runs(&spokes, around.len());
+        for spoke in spokes.chunk_by(|a, b| a.0 == b.0) {
+            if spoke.iter().any(|(_, i, _)| part[*i] != part[spoke[0].1]) {
+                spoke.iter().for_each(|(_, i, edge)| cuts[around[*i].0][*edge] = true);
+            }
+        }
+        around.iter().for_each(|(f, k)| cuts[*f][(k + 1) % 3] = true);
+    }
+}
+
+/// The part of each of `count` faces around a hub: runs along its spokes (sorted by far end), from the lowest face on.
+fn runs(spokes: &[(u32, usize, usize)], count: usize) -> Vec<usize> {
+    let mut beside = vec![Vec::new(); count];
+    for spoke in spokes.chunk_by(|a, b| a.0 == b.0) {
+        for pair in spoke.windows(2) {
+            beside[pair[0].1].push(pair[1].1);
+            beside[pair[1].1].push(pair[0].1);
+        }
+    }
+    let mut part = vec![usize::MAX; count];
+    let mut seen = 0;
+    for first in 0..count {
+        let mut stack = vec![first];
+        while let Some(i) = stack.pop() {
+            if part[i] == usize::MAX {
+                part[i] = seen / HUB_PART_FACES;
+                seen += 1;
+                stack.extend(&beside[i]);
+            }
+        }
+    }
+    part
 }
 
 /// `points` once for every fan of faces that hangs together around one over paired edges, and `triangles` over them: what

@@ -13,7 +13,7 @@ use kiln_xatlas::protocol::{Reply, Request};
 
 use super::check::{OVERLAP_DEPTH, overlaps};
 use super::planar::{divide, neighbours};
-use super::{UnwrapError, UnwrapInput, UnwrapOutput, Unwrapper};
+use super::{UnwrapError, UnwrapInput, UnwrapOutput, Unwrapper, Watch};
 
 /// Runs of the worker before its overlaps are given up. Two or three are what models need.
 const ROUNDS: usize = 8;
@@ -52,18 +52,14 @@ impl Unwrapper for Xatlas<'_> {
         "xatlas"
     }
 
-    fn unwrap(&self, input: &UnwrapInput) -> Result<UnwrapOutput, UnwrapError> {
-        let mut request = Request {
-            size: input.size,
-            padding: input.padding,
-            positions: input.positions.iter().map(|p| p.to_array()).collect(),
-            triangles: input.triangles.clone(),
-            groups: vec![0; input.triangles.len()],
-        };
+    fn unwrap(&self, input: &UnwrapInput, watch: &Watch<'_>) -> Result<UnwrapOutput, UnwrapError> {
+        let mut request = request(input);
         let neighbours = neighbours(input);
+        watch.go_on()?;
+        watch.progress(0.0, "in the worker");
         let mut charts = self.ask(&request)?;
-        let mut groups = 1;
-        for _ in 1..ROUNDS {
+        let mut groups = input.scales.len() as u32;
+        for round in 1..ROUNDS {
             let parts = overlapping_parts(&charts, &neighbours, input.size);
             if parts.is_empty() {
                 break;
@@ -72,10 +68,38 @@ impl Unwrapper for Xatlas<'_> {
                 part.iter().for_each(|face| request.groups[*face as usize] = groups);
                 groups += 1;
             }
+            watch.go_on()?;
+            watch.progress(round as f32 / ROUNDS as f32, "in the worker again, to part charts that overlap");
             charts = self.ask(&request)?;
         }
         Ok(charts)
     }
+}
+
+/// The input in the worker's words. Each density factor is a group of its own, its places scaled: xatlas gives every length the
+/// same number of texels.
+fn request(input: &UnwrapInput) -> Request {
+    let mut positions: Vec<[f32; 3]> = input.positions.iter().map(|p| p.to_array()).collect();
+    let mut triangles = input.triangles.clone();
+    if input.scales[..] != [1.0] {
+        let mut number = vec![(u32::MAX, 0); positions.len()];
+        let mut scaled = Vec::with_capacity(positions.len());
+        for (group, scale) in (0u32..).zip(&input.scales) {
+            for (triangle, _) in triangles.iter_mut().zip(&input.groups).filter(|(_, own)| **own == group) {
+                *triangle = triangle.map(|p| {
+                    let (known, at) = &mut number[p as usize];
+                    if *known != group {
+                        (*known, *at) = (group, scaled.len() as u32);
+                        scaled.push(positions[p as usize].map(|c| c * scale));
+                    }
+                    *at
+                });
+            }
+        }
+        positions = scaled;
+    }
+    let density = input.density.map_or(0.0, |density| density as f32);
+    Request { size: input.size, padding: input.padding, density, positions, triangles, groups: input.groups.clone() }
 }
 
 /// Of each chart that covers itself, both parts: the faces nearer to the one and to the other of its first overlapping pair.

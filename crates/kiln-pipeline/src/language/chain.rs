@@ -286,7 +286,15 @@ impl Walk<'_> {
                 self.levels(index, &levels, incoming);
                 gives
             }
-            StageSettings::Atlas(_) => {
+            StageSettings::Atlas(atlas) => {
+                let (sheets, most) =
+                    (atlas.sheets.unwrap_or(1), kiln_bake::atlas::AtlasOptions::most_sheets(atlas.size));
+                if sheets > most {
+                    let message = format!("{sheets} sheets of {} texels do not lie side by side", atlas.size);
+                    let help =
+                        format!("`sheets` is at most {most} at that size: UVs beyond are too coarse for its texels");
+                    self.report.add(Code::ValueRange, draft.origin("sheets"), message, "too many", Some(help));
+                }
                 let gives = Flow { what: What::Levels, atlas: Some(index), count: Some(1), ..incoming.clone() };
                 match incoming.what {
                     What::Asset | What::Mesh => {

@@ -26,6 +26,7 @@
 //! a level of one kind is finer than one of another is found when it is cut. After a syntax error, only what stands
 //! before it is checked further.
 
+mod density;
 pub mod diagnostic;
 pub mod inputs;
 pub mod length;

@@ -2,6 +2,7 @@
 //!
 //! The parser, the reference, `--set`, overrides and the resolved form all come from here.
 
+pub use super::density::{DensityRule, DensityRules};
 use super::diagnostic::{Code, Report};
 use super::dom::{Data, Node};
 use super::length::Length;
@@ -110,6 +111,8 @@ choices! {
         "uvunwrap" => Uvunwrap,
         /// xatlas in a child process.
         "xatlas" => Xatlas,
+        /// Flat projections of small clusters: coarse charts, the fastest.
+        "planar" => Planar,
     }
 }
 
@@ -402,6 +405,14 @@ options! {
         "size" => size: u32, default(2048), within 16..=16384;
         /// Least empty space between charts in texels.
         "padding" => padding: u32, default(16), within 0..=256;
+        /// Most sheets over which the submeshes are spread, each whole on one; as few are used as give about the same density.
+        "sheets" => sheets: Option<u32>, derived("one sheet"), within 1..=64;
+        /// Rules of name (a glob over submeshes, the last that matches holds) and factor: how many times the texels per length of
+        /// the others those submeshes get.
+        "density" => density: Option<DensityRules>, derived("the same for all");
+        /// Seconds after which the stage fails instead of going on, 0 for no limit; it never chooses a result and is no part of
+        /// fingerprints.
+        "time-limit" => time_limit: u32, default(300), within 0..=604_800;
     }
 }
 

@@ -271,10 +271,14 @@ impl Pipeline {
 
 impl ResolvedPipeline {
     /// The stages as TOML, every default filled and every `from` written out. It depends on neither comments, blanks
-    /// and key order nor on paths, so its bytes may be hashed into a container's provenance.
+    /// and key order nor on paths nor on limits of time, so its bytes may be hashed into a container's provenance.
     pub fn to_resolved_toml(&self) -> String {
         let mut out = format!("kiln = {}\n", self.language);
-        stages_toml(&self.stages, &mut out);
+        for stage in &self.stages {
+            let values = stage.values(&self.stages).into_iter().filter(|(name, _)| !TIME_KEYS.contains(&name.as_str()));
+            out.push_str("\n[[stage]]\n");
+            toml_lines(&values.collect::<Vec<_>>(), &mut out);
+        }
         out
     }
 
@@ -285,6 +289,9 @@ impl ResolvedPipeline {
         Value::Table(entries).to_json()
     }
 }
+
+/// Keys that decide whether there is a result in time, and never which: no part of fingerprints and of provenance.
+pub(crate) const TIME_KEYS: [&str; 1] = ["time-limit"];
 
 fn stages_toml(stages: &[Stage], out: &mut String) {
     for stage in stages {

@@ -317,7 +317,7 @@ fn idle_locks(globs: &[String], materials: &MaterialSet) -> Vec<String> {
     globs.iter().filter(idle).map(|glob| unknown("lock", "material", glob, &names)).collect()
 }
 
-fn unknown(what: &str, kind: &str, glob: &str, names: &[&str]) -> String {
+pub(super) fn unknown(what: &str, kind: &str, glob: &str, names: &[&str]) -> String {
     // A model may have thousands.
     let most = &names[..names.len().min(12)];
     let help = match suggest(&format!("{kind}s"), glob, names) {

@@ -1,3 +1,8 @@
+mod hostile;
+mod mips;
+mod sheets;
+mod watched;
+
 use glam::{Quat, Vec2, Vec3};
 use kiln_asset::{FaceId, Level, Mesh, QuadricCoefficients, RawMesh, Submesh, SubmeshId, UvLayout};
 
@@ -111,6 +116,23 @@ impl Shape {
         self.positions.extend(other.positions);
         self.triangles.extend(other.triangles.iter().map(|t| t.map(|v| v + base)));
         self
+    }
+
+    /// `shapes`, each a submesh named after its place, none sharing a point with another unless places are equal.
+    fn submeshes(shapes: &[Shape]) -> Level {
+        let mut raw = RawMesh::default();
+        for (i, shape) in (0u32..).zip(shapes) {
+            let base = raw.positions.len() as u32;
+            raw.positions.extend(&shape.positions);
+            raw.triangles.extend(shape.triangles.iter().map(|t| t.map(|v| v + base)));
+            raw.face_submesh.extend(shape.triangles.iter().map(|_| SubmeshId(i)));
+            raw.submeshes.push(Submesh { name: format!("part{i}"), ..Default::default() });
+        }
+        level(Mesh::new(raw).expect("valid"))
+    }
+
+    fn scaled(&self, scale: f32, to: Vec3) -> Shape {
+        Shape { positions: self.positions.iter().map(|p| *p * scale + to).collect(), ..self.clone() }
     }
 
     fn raw(self) -> RawMesh {
@@ -376,7 +398,7 @@ impl Unwrapper for Canned {
         "canned"
     }
 
-    fn unwrap(&self, input: &UnwrapInput) -> Result<UnwrapOutput, UnwrapError> {
+    fn unwrap(&self, input: &UnwrapInput, _: &Watch<'_>) -> Result<UnwrapOutput, UnwrapError> {
         self.0(input)
     }
 }
@@ -541,7 +563,7 @@ fn xatlas_unwraps_in_its_worker_at_the_size_asked_with_one_winding() {
     ] {
         for (size, padding) in [(512, 8), (300, 3)] {
             let level = shape.clone().level();
-            let options = AtlasOptions { size, padding, unwrapper: UnwrapperChoice::Xatlas };
+            let options = AtlasOptions { unwrapper: UnwrapperChoice::Xatlas, ..options(size, padding) };
             let (new, layout, report) = unwrap(&level, &options, &xatlas).expect(name);
             assert_untouched(&level, &new);
             check(&new.mesh, &layout).expect(name);

@@ -60,8 +60,10 @@ fn a_model_is_nowhere_different_from_itself() {
     let space = Space::new();
     space.fixture("pot.glb");
     let report = json(&space, "pot.glb", "pot.glb");
-    for mode in ["flat", "lit", "normals"] {
-        for (name, expected) in [("rmse", 0.0), ("rmse_object", 0.0), ("rmse_worst", 0.0), ("ssim/all", 1.0)] {
+    for mode in ["flat", "lit", "normals", "material"] {
+        for (name, expected) in
+            [("rmse", 0.0), ("rmse_object", 0.0), ("rmse_both", 0.0), ("rmse_worst", 0.0), ("ssim/all", 1.0)]
+        {
             assert_eq!(figure(&report, &format!("/{mode}/{name}")), expected, "{mode} {name}");
         }
         assert_eq!(figure(&report, &format!("/{mode}/ssim/object")), 1.0);
@@ -90,6 +92,7 @@ fn errors_grow_with_the_level_of_a_container() {
         "/lit/rmse_object",
         "/lit/flip/object",
         "/normals/rmse_object",
+        "/material/rmse_both",
         "/silhouette/xor",
     ] {
         let figures: Vec<f64> = reports.iter().map(|report| figure(report, path)).collect();

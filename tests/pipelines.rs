@@ -156,7 +156,8 @@ fn texel_density_builds_and_gives_each_submesh_its_factor_and_a_time_limit_makes
     space.run(["check", "pipelines/build/texel-density/pot.kiln"]).expect(0);
     let atlas = report["assets"][0]["stages"].as_array().unwrap().iter().find(|s| s["stage"] == "atlas").unwrap();
     let densities = atlas["report"]["densities"].as_array().unwrap();
-    let got = |name: &str| densities.iter().find(|d| d["submesh"] == name).unwrap()["texels_per_unit"].as_f64().unwrap();
+    let got =
+        |name: &str| densities.iter().find(|d| d["submesh"] == name).unwrap()["texels_per_unit"].as_f64().unwrap();
     let ratio = got("lid") / got("base");
     assert!((ratio / 4.0 - 1.0).abs() < 0.02, "{atlas:#}");
     assert_eq!((&atlas["report"]["clean_mip"], &atlas["report"]["clean_mip_bilinear"]), (&2.into(), &2.into()));

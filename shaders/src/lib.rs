@@ -22,6 +22,13 @@ impl Shader {
     }
 }
 
+/// What an engine draws a level with: its maps on its triangles, lit.
+pub const APPLY_MAPS: Shader = Shader {
+    name: "apply_maps",
+    source: include_str!("../apply_maps.wgsl"),
+    twin: "crates/kiln-measure/src/render/apply_maps.rs",
+};
+
 /// The bake's hit pass: which high triangle the line of a sample meets first, or nearest.
 pub const MIRRORED_VERTEX: Shader = Shader {
     name: "mirrored_vertex",
@@ -44,7 +51,7 @@ pub const PRICE: Shader = Shader {
 };
 
 /// All passes, by name.
-pub const ALL: &[Shader] = &[FORMULA, MIRRORED_VERTEX, PRICE];
+pub const ALL: &[Shader] = &[APPLY_MAPS, FORMULA, MIRRORED_VERTEX, PRICE];
 
 #[cfg(test)]
 mod tests {

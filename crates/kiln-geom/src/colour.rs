@@ -9,9 +9,23 @@ use std::sync::LazyLock;
 
 static LINEAR: LazyLock<[f32; 256]> = LazyLock::new(|| std::array::from_fn(|k| decode(k as f64 / 255.0) as f32));
 
-/// `THRESHOLDS[k]`: least light that encodes to `k + 1`.
-static THRESHOLDS: LazyLock<[f32; 255]> =
-    LazyLock::new(|| std::array::from_fn(|k| decode((k as f64 + 0.5) / 255.0) as f32));
+/// `THRESHOLDS[k]`: least light that encodes to `k + 1`; nothing encodes to more than 255.
+static THRESHOLDS: LazyLock<[f32; 256]> = LazyLock::new(|| {
+    std::array::from_fn(|k| if k < 255 { decode((k as f64 + 0.5) / 255.0) as f32 } else { f32::INFINITY })
+});
+
+/// Bits of the least light that [`START`] knows, below the first threshold, and by how much to shift them: 256 steps an octave,
+/// so narrow that none holds two thresholds.
+const START_BITS: u32 = 0x3900_0000;
+const START_SHIFT: u32 = 15;
+
+/// `START[k]`: the byte of the least light in step `k`, from 2^-13 to 1.
+static START: LazyLock<[u8; 13 * 256]> = LazyLock::new(|| {
+    std::array::from_fn(|k| {
+        let light = f32::from_bits(START_BITS + ((k as u32) << START_SHIFT));
+        THRESHOLDS.partition_point(|threshold| *threshold <= light) as u8
+    })
+});
 
 fn decode(code: f64) -> f64 {
     if code <= 0.04045 { code / 12.92 } else { libm::pow((code + 0.055) / 1.055, 2.4) }
@@ -26,7 +40,12 @@ pub fn srgb_to_linear(code: u8) -> f32 {
 /// sRGB byte of linear light, nearest on the curve; below 0 (and NaN) gives 0, above 1 gives 255.
 #[inline]
 pub fn linear_to_srgb(light: f32) -> u8 {
-    THRESHOLDS.partition_point(|threshold| *threshold <= light) as u8
+    if light.is_nan() || light < f32::from_bits(START_BITS) {
+        return 0;
+    }
+    let step = ((light.to_bits() - START_BITS) >> START_SHIFT) as usize;
+    let Some(byte) = START.get(step) else { return 255 };
+    byte + u8::from(THRESHOLDS[*byte as usize] <= light)
 }
 
 /// Linear light of an sRGB code in `[0, 1]`, unitless.
@@ -67,6 +86,20 @@ mod tests {
             let byte = linear_to_srgb(light) as f64;
             assert!((byte - exact).abs() <= 0.5 + 1e-4, "light {light}: byte {byte}, curve {exact}");
         }
+    }
+
+    #[test]
+    fn the_table_of_starts_changes_no_byte() {
+        let search = |light: f32| THRESHOLDS.partition_point(|threshold| *threshold <= light) as u8;
+        let near = THRESHOLDS[..255]
+            .iter()
+            .flat_map(|t| [-1, 0, 1].map(|ulp| f32::from_bits(t.to_bits().wrapping_add_signed(ulp))));
+        let steps = (0..=13 * 256 + 1).map(|k| f32::from_bits(START_BITS - (1 << START_SHIFT) + (k << START_SHIFT)));
+        let even = (0..100_000).map(|k| k as f32 / 90_000.0);
+        for light in near.chain(steps).chain(even) {
+            assert_eq!(linear_to_srgb(light), search(light), "light {light}");
+        }
+        assert_eq!(linear_to_srgb(f32::NEG_INFINITY), 0);
     }
 
     #[test]

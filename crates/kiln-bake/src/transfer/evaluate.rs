@@ -8,9 +8,12 @@ use kiln_asset::{DeepRaster, ExtraMap, MapRole, Mesh, Precision, Raster};
 use kiln_geom::colour::{linear_to_srgb, unorm8};
 use kiln_geom::raster::Rect;
 
+use crate::dilation::TexelKind;
+use crate::occlusion::{Occluder, Openness};
+
 use super::maps::RoleSource;
 use super::materials::Groups;
-use super::options::{BakeError, BakeOptions, Depth, NormalSpace, Picture};
+use super::options::{BakeError, BakeOptions, Depth, NormalSpace, OcclusionSource, Picture};
 use super::resolve::{HitPoint, Needs, TangentFrame, mix3};
 
 /// A map to be written.
@@ -77,6 +80,26 @@ impl What {
         }
     }
 
+    /// How texels that nothing was baked into are filled.
+    pub(crate) fn filling(self, depth: Depth) -> TexelKind {
+        match self.kind() {
+            Kind::Colour if self.precision(depth).is_none() => TexelKind::Srgb,
+            Kind::Colour | Kind::Linear => TexelKind::Linear,
+            Kind::Normal if self.halved(depth) => TexelKind::Normal,
+            Kind::Normal => TexelKind::Vector,
+            Kind::Number => TexelKind::Nearest,
+        }
+    }
+
+    /// Whether it is made of rays from the high surface.
+    pub(crate) fn looks_out(self, options: &BakeOptions) -> bool {
+        match self {
+            What::Extra(ExtraMap::AmbientOcclusion | ExtraMap::BentNormal) => true,
+            What::Role(MapRole::Occlusion) => options.occlusion != OcclusionSource::Source,
+            _ => false,
+        }
+    }
+
     /// Whether unit vectors are written as `(v + 1) / 2`.
     pub(crate) fn halved(self, depth: Depth) -> bool {
         match self {
@@ -96,6 +119,10 @@ pub(crate) struct Evaluator<'a> {
     pub(crate) low_tangents: &'a [glam::Vec4],
     pub(crate) groups: &'a Groups,
     pub(crate) maps: &'a [Planned<'a>],
+    /// `[high vertex_count]`; empty where no map shows it.
+    pub(crate) curvature: &'a [f32],
+    /// Where a map looks out from the high surface.
+    pub(crate) occluder: Option<Occluder<'a>>,
     pub(crate) options: &'a BakeOptions,
 }
 
@@ -110,9 +137,24 @@ impl Evaluator<'_> {
 
     /// The values of a map at hits, by column; vectors in `[-1, 1]`.
     #[inline]
-    pub(crate) fn each(&self, map: &Planned<'_>, hits: &[(u32, HitPoint)], mut put: impl FnMut(usize, [f32; 4])) {
+    pub(crate) fn each(&self, map: &Planned<'_>, row: &Row, mut put: impl FnMut(usize, [f32; 4])) {
+        let one = |value: f32| [value, value, value, 1.0];
+        let mut open = |value: &dyn Fn(&HitPoint, &Openness) -> [f32; 4]| {
+            row.hits.iter().zip(&row.open).for_each(|((column, hit), open)| put(*column as usize, value(hit, open)));
+        };
+        match (map.what, &map.source) {
+            (What::Extra(ExtraMap::AmbientOcclusion), _) => return open(&|_, open| one(open.share)),
+            (What::Extra(ExtraMap::BentNormal), _) => return open(&|_, open| open.bent.extend(1.0).to_array()),
+            (What::Role(MapRole::Occlusion), Some(source)) if self.options.occlusion != OcclusionSource::Source => {
+                return open(&|hit, open| match self.options.occlusion {
+                    OcclusionSource::Both => one(open.share * self.role(source, hit)[0]),
+                    _ => one(open.share),
+                });
+            }
+            _ => {}
+        }
         let mut all = |value: &dyn Fn(&HitPoint) -> [f32; 4]| {
-            hits.iter().for_each(|(column, hit)| put(*column as usize, value(hit)));
+            row.hits.iter().for_each(|(column, hit)| put(*column as usize, value(hit)));
         };
         match (map.what, &map.source) {
             (What::Role(MapRole::Normal), Some(source)) if self.options.space == NormalSpace::Object => {
@@ -121,13 +163,24 @@ impl Evaluator<'_> {
             (What::Role(MapRole::Normal), Some(source)) => {
                 all(&|hit| self.frame(hit).encode(source.normal(hit, self.high_normals)).extend(1.0).to_array());
             }
-            (What::Role(_), Some(source)) => all(&|hit| {
-                let submesh = self.low.face_submesh[hit.low].index();
-                source.value(hit, self.groups.materials[self.groups.of_submesh[submesh]])
-            }),
+            (What::Role(_), Some(source)) => all(&|hit| self.role(source, hit)),
             (What::Extra(extra), source) => all(&|hit| self.extra(extra, source.as_ref(), hit)),
             (What::Role(_), None) => all(&|_| [0.0, 0.0, 0.0, 1.0]),
         }
+    }
+
+    /// How open the high surface is at each hit of a row; `place`: the row's first sample, `whole`: samples a row of the sheet has.
+    pub(crate) fn look_out(&self, occluder: &Occluder<'_>, place: [u32; 2], whole: u32, row: &mut Row) {
+        row.open.clear();
+        row.open.extend(row.hits.iter().map(|(column, hit)| {
+            let seed = place[1].wrapping_mul(whole).wrapping_add(place[0] + column);
+            occluder.at(self.place(hit), self.geometric(hit), hit.high as u32, seed)
+        }));
+    }
+
+    fn role(&self, source: &RoleSource<'_>, hit: &HitPoint) -> [f32; 4] {
+        let submesh = self.low.face_submesh[hit.low].index();
+        source.value(hit, self.groups.materials[self.groups.of_submesh[submesh]])
     }
 
     fn extra(&self, extra: ExtraMap, source: Option<&RoleSource<'_>>, hit: &HitPoint) -> [f32; 4] {
@@ -144,7 +197,13 @@ impl Evaluator<'_> {
             }
             ExtraMap::Opacity => one(source.map_or(1.0, |s| s.opacity(hit))),
             ExtraMap::Coverage => one(1.0),
-            ExtraMap::Curvature | ExtraMap::AmbientOcclusion | ExtraMap::BentNormal => one(0.0),
+            ExtraMap::Curvature => {
+                let corners =
+                    self.high.triangles[hit.high].map(|v| self.curvature.get(v as usize).copied().unwrap_or(0.0));
+                one(corners.iter().zip(hit.high_bary).map(|(c, w)| c * w).sum())
+            }
+            // Of the row's openness.
+            ExtraMap::AmbientOcclusion | ExtraMap::BentNormal => one(0.0),
         }
     }
 
@@ -164,6 +223,15 @@ impl Evaluator<'_> {
         let corners = self.low.triangles[hit.low].map(|v| v as usize);
         TangentFrame::new(corners.map(|v| self.low_normals[v]), corners.map(|v| self.low_tangents[v]), hit.low_bary)
     }
+}
+
+/// The hits of one row of samples.
+#[derive(Default)]
+pub(crate) struct Row {
+    /// Columns and hits.
+    pub(crate) hits: Vec<(u32, HitPoint)>,
+    /// `[hits]`; empty where no map shows it.
+    pub(crate) open: Vec<Openness>,
 }
 
 /// The samples of a bin, evaluated.
@@ -359,6 +427,9 @@ pub(crate) fn check_options(options: &BakeOptions, reach: [f32; 2]) -> Result<()
     }
     if !(1..=4096).contains(&options.rays) {
         return refuse("rays", options.rays.to_string(), "1 to 4096".into());
+    }
+    if let Some(length) = options.ray_length.filter(|l| !(*l > 0.0 && l.is_finite())) {
+        return refuse("ray-length", length.to_string(), "a positive length".into());
     }
     for (name, value) in [("front", reach[0]), ("back", reach[1])] {
         // The negation catches NaN.

@@ -56,15 +56,16 @@ use kiln_asset::{ExtraMap, Level, LodSet, MapRole, Material, MaterialId, Mesh};
 use kiln_geom::raster::Rect;
 use rayon::prelude::*;
 
-use crate::dilation::{self, TexelKind};
+use crate::dilation::Fill;
+use crate::occlusion::Occluder;
 use crate::tangents::{self, UvSource};
 use correspondence::Layout;
-use evaluate::{Evaluator, Kind, Planned, Rows, Samples, Tent, What};
+use evaluate::{Evaluator, Kind, Planned, Row, Rows, Samples, Tent, What};
 use gpu::{HitPass, Portions, Stripe};
 use low::Low;
 use maps::RoleSource;
 use materials::{Groups, is_neutral, material_of};
-use resolve::{HitPoint, Locator, Meeting, Needs};
+use resolve::{Locator, Meeting, Needs};
 use search::{Scratch, Search};
 use sheet::Sheet;
 
@@ -84,8 +85,10 @@ pub fn bake(input: &BakeInput<'_>, options: &BakeOptions, backend: Backend<'_>) 
     let sheets = low.layout.map_or(1, |layout| layout.sheets.max(1));
     let reach = reach(high, low.levels[0].error, options);
     let used: Vec<Material> = finest.submeshes.iter().map(|s| material_of(materials, s.material)).collect();
-    let (asked, neutral): (Vec<MapRole>, Vec<MapRole>) =
-        MapRole::ALL.iter().filter(|r| options.maps.contains(r)).partition(|r| !is_neutral(**r, &used));
+    let (asked, neutral): (Vec<MapRole>, Vec<MapRole>) = MapRole::ALL
+        .iter()
+        .filter(|r| options.maps.contains(r))
+        .partition(|r| !is_neutral(**r, &used) || What::Role(**r).looks_out(options));
     let groups = Groups::new(finest, materials);
     let mut planned = Vec::new();
     for role in &asked {
@@ -152,8 +155,7 @@ struct Bench {
     owners: Vec<u32>,
     winners: Vec<u32>,
     scratch: Scratch,
-    /// Columns and hits of one row of samples.
-    hits: Vec<(u32, HitPoint)>,
+    row: Row,
     /// `[maps][samples of the bin]`.
     values: Vec<Vec<[f32; 4]>>,
 }
@@ -249,6 +251,18 @@ impl<'a> Pass<'a> {
         if tangent_space && finest.tangents.is_none() {
             return Err(BakeError::StaleTangents { level: 0 });
         }
+        let curvature = match planned.iter().any(|m| m.what == What::Extra(ExtraMap::Curvature)) {
+            true => crate::curvature::mean_curvature(&self.high.positions, &self.high.triangles),
+            false => Vec::new(),
+        };
+        let tree;
+        let occluder = if planned.iter().any(|m| m.what.looks_out(self.options)) {
+            let (high, reach) = (self.high, self.options.ray_length.unwrap_or(self.high.diagonal()));
+            tree = kiln_geom::Bvh::new(&high.positions, &high.triangles);
+            Some(Occluder::new(&tree, &high.positions, &high.triangles, self.options.rays, reach))
+        } else {
+            None
+        };
         let evaluator = Evaluator {
             high: self.high,
             low: finest,
@@ -257,6 +271,8 @@ impl<'a> Pass<'a> {
             low_tangents: finest.tangents.as_deref().unwrap_or_default(),
             groups,
             maps: planned,
+            curvature: &curvature,
+            occluder,
             options: self.options,
         };
         let size = self.sheet.size;
@@ -282,19 +298,16 @@ impl<'a> Pass<'a> {
                 )));
             }
         }
-        let inside: Vec<bool> = charts.iter().map(|c| *c != 0).collect();
+        let fill = Fill::plan(size, size, &covered, &charts, self.options.dilation);
+        report.dilated += fill.report().dilated;
         for (picture, map) in pictures.iter_mut().zip(planned) {
             if map.what == What::Extra(ExtraMap::Coverage) {
                 continue;
             }
-            if let Picture::Plain(raster) = picture {
-                let kind = match map.what.kind() {
-                    Kind::Colour => TexelKind::Srgb,
-                    Kind::Normal => TexelKind::Normal,
-                    Kind::Linear | Kind::Number => TexelKind::Linear,
-                };
-                let filled = dilation::dilate(raster, &covered, &inside, self.options.dilation, kind);
-                report.dilated = filled.dilated;
+            let kind = map.what.filling(self.options.depth);
+            match picture {
+                Picture::Plain(raster) => fill.apply(raster, kind),
+                Picture::Deep(raster) => fill.apply(raster, kind),
             }
         }
         Ok(pictures)
@@ -407,18 +420,24 @@ impl<'a> Pass<'a> {
         counts
     }
 
-    /// The hits of one row of a bin's samples, by column.
-    fn row(&self, rect: Rect, row: usize, locator: &mut Locator<'_>, needs: Needs, bench: &mut Bench) {
+    /// The hits of one row of a bin's samples.
+    fn row(&self, rect: Rect, row: usize, evaluator: &Evaluator<'_>, locator: &mut Locator<'_>, bench: &mut Bench) {
         let width = (rect.x1 - rect.x0) as usize;
-        bench.hits.clear();
+        let needs = evaluator.needs();
+        let hits = &mut bench.row.hits;
+        hits.clear();
         let row_of = row * width..(row + 1) * width;
         let faces = bench.owners[row_of.clone()].iter().zip(&mut bench.winners[row_of]);
         for (column, (owner, winner)) in faces.enumerate().filter(|(_, (_, winner))| **winner != 0) {
             let sample = [rect.x0 + column as u32, rect.y0 + row as u32];
             match locator.at(sample, *owner as usize - 1, *winner as usize - 1, needs) {
-                Some(hit) => bench.hits.push((column as u32, hit)),
+                Some(hit) => hits.push((column as u32, hit)),
                 None => *winner = 0,
             }
+        }
+        if let Some(occluder) = &evaluator.occluder {
+            let whole = self.sheet.size * self.sheet.samples;
+            evaluator.look_out(occluder, [rect.x0, rect.y0 + row as u32], whole, &mut bench.row);
         }
     }
 
@@ -434,23 +453,22 @@ impl<'a> Pass<'a> {
         let mut counts = Counts::default();
         let rect = self.sheet.samples(x, y);
         let width = (rect.x1 - rect.x0) as usize;
-        let needs = evaluator.needs();
         for row in 0..(rect.y1 - rect.y0) as usize {
             let start = row * self.sheet.size as usize + rect.x0 as usize;
-            self.row(rect, row, locator, needs, bench);
+            self.row(rect, row, evaluator, locator, bench);
             let owners = &bench.owners[row * width..(row + 1) * width];
             for (chart, owner) in into.charts[start..start + width].iter_mut().zip(owners).filter(|(_, o)| **o != 0) {
                 *chart = self.charts[*owner as usize - 1] + 1;
                 counts.owned += 1;
             }
-            counts.covered += bench.hits.len() as u64;
-            for (column, _) in &bench.hits {
+            counts.covered += bench.row.hits.len() as u64;
+            for (column, _) in &bench.row.hits {
                 into.covered[start + *column as usize] = true;
             }
             for (map, rows) in evaluator.maps.iter().zip(into.maps.iter_mut()) {
                 let (kind, halved) = (map.what.kind(), map.what.halved(self.options.depth));
                 let normal = self.is_tangent_normal(map.what);
-                evaluator.each(map, &bench.hits, |column, value| {
+                evaluator.each(map, &bench.row, |column, value| {
                     counts.behind += u64::from(normal && value[2] < 0.0);
                     rows.write(start + column, value, kind, halved);
                 });
@@ -476,9 +494,9 @@ impl<'a> Pass<'a> {
         values.resize_with(kinds.len(), Vec::new);
         values.iter_mut().for_each(|v| v.resize(bench.owners.len(), [0.0; 4]));
         for row in 0..(rect.y1 - rect.y0) as usize {
-            self.row(rect, row, locator, evaluator.needs(), bench);
+            self.row(rect, row, evaluator, locator, bench);
             for (map, values) in evaluator.maps.iter().zip(&mut values) {
-                evaluator.each(map, &bench.hits, |column, value| values[row * width + column] = value);
+                evaluator.each(map, &bench.row, |column, value| values[row * width + column] = value);
             }
         }
         let tent = Tent::new(self.sheet.samples);

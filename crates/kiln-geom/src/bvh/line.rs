@@ -151,6 +151,43 @@ impl Bvh {
     }
 }
 
+impl Bvh {
+    /// Whether [`Bvh::line_hits`] finds any hit: ends at the first one met.
+    pub fn occluded(&self, origin: Vec3, direction: Vec3, t_min: f32, t_max: f32) -> bool {
+        let Some(line) = Line::new(origin, direction, self.reach) else { return false };
+        let (near, far) = line.range(t_min, t_max);
+        let mut stack: Stack<u32> = Stack::new();
+        if self.nodes.first().is_some_and(|root| line.enter(root, near, far).is_some()) {
+            stack.push(0);
+        }
+        while let Some(mut index) = stack.pop() {
+            loop {
+                let node = &self.nodes[index as usize];
+                if node.count > 0 {
+                    let own = &self.corners[node.first as usize..(node.first + node.count) as usize];
+                    if own.iter().any(|corners| line.meet(corners).is_some_and(|(t, _)| (t_min..=t_max).contains(&t))) {
+                        return true;
+                    }
+                    break;
+                }
+                let enter = [0, 1].map(|k| line.enter(&self.nodes[(node.first + k) as usize], near, far));
+                match enter {
+                    // The nearer box first: what stands close hides most.
+                    [Some(a), Some(b)] => {
+                        let nearer = u32::from(b < a);
+                        stack.push(node.first + (1 - nearer));
+                        index = node.first + nearer;
+                    }
+                    [Some(_), None] => index = node.first,
+                    [None, Some(_)] => index = node.first + 1,
+                    [None, None] => break,
+                }
+            }
+        }
+        false
+    }
+}
+
 impl Line {
     /// A range of `t` in scaled units, opened by a few roundings so that a hit at its very end is inside.
     fn range(&self, t_min: f32, t_max: f32) -> (f32, f32) {

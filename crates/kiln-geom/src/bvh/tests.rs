@@ -92,6 +92,26 @@ proptest! {
     }
 
     #[test]
+    fn a_line_is_occluded_where_it_has_a_closest_hit(
+        (positions, triangles) in soup(),
+        origin in direction(),
+        direction in direction(),
+        (t_min, length) in (-2.0f32..2.0, 0.0f32..3.0),
+    ) {
+        let bvh = Bvh::new(&positions, &triangles);
+        let closest = bvh.closest_hit(origin, direction, t_min, t_min + length);
+        prop_assert_eq!(bvh.occluded(origin, direction, t_min, t_min + length), closest.is_some());
+        // Up to the hit itself, and up to just before it.
+        if let Some(hit) = bvh.closest_hit(origin, direction, t_min, f32::INFINITY) {
+            prop_assert!(bvh.occluded(origin, direction, t_min, hit.t));
+            let before = if hit.t > 0.0 { hit.t.next_down() } else { hit.t.next_up() };
+            if before >= t_min && before < hit.t {
+                prop_assert!(!bvh.occluded(origin, direction, t_min, before));
+            }
+        }
+    }
+
+    #[test]
     fn a_hit_lies_on_the_line_and_on_the_triangle(
         (positions, triangles) in soup(), origin in direction(), direction in direction(),
     ) {

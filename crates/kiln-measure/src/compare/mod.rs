@@ -6,13 +6,17 @@
 //! ```text
 //! points over both surfaces, distances both ways; border lengths
 //! frame the reference's bounding sphere; `views` parallel views on a Fibonacci lattice
-//! for each view, for each of base colour, lit, normals:
+//! for each view, for each of base colour, lit, normals, material:
 //!     draw both, two-sided, at `supersample` x `supersample` samples a pixel
 //!     add squares, structural similarity and FLIP; from the first also the coverage, which is the silhouette
 //! ```
 //! **Fair filtering.** Textures are read from one mip level for the whole run, by the reference's mean texel density. Another
 //! atlas than the reference's has its texels at another density: its level is shifted by the two densities' ratio, rounded to
 //! whole levels, so that both are read at the same fineness, and a simplified mesh with the reference's own textures at the same level.
+//!
+//! **On the surface.** An outline that moves by half a pixel exchanges model and background, which outweighs what changed on the model.
+//! `rmse_both` is over the pixels that both cover wholly, and the outlines' difference stands beside it. `material` draws what a
+//! player would see: all maps under lights that stand still beside the object while the views go around it.
 //!
 //! **Limits.** The views see no inside. Distances are sampled: the greatest is a lower bound. One view is in memory at a time.
 //!
@@ -83,6 +87,8 @@ pub struct Comparison {
     pub lit: ModeError,
     /// Normals as colours.
     pub normals: ModeError,
+    /// All maps under lights fixed to the object.
+    pub material: ModeError,
     /// Outlines.
     pub silhouette: SilhouetteError,
     /// Between the surfaces, object units.
@@ -115,6 +121,8 @@ pub struct ModeError {
     pub rmse: f64,
     /// The same over the pixels that either model covers.
     pub rmse_object: f64,
+    /// The same over the pixels that both models cover wholly.
+    pub rmse_both: f64,
     /// RMSE of the worst view.
     pub rmse_worst: f64,
     /// Mean of the views' RMSE.
@@ -127,10 +135,12 @@ pub struct ModeError {
     pub flip: PixelMeans,
     /// RMSE of each view.
     pub per_view: Vec<f64>,
+    /// RMSE of each view over the pixels that both models cover wholly.
+    pub per_view_both: Vec<f64>,
 }
 
 /// How far outlines are apart, over all views.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SilhouetteError {
     /// RMSE over all pixels, white on black, codes 0..255.
     pub rmse: f64,
@@ -138,10 +148,12 @@ pub struct SilhouetteError {
     pub xor: f64,
     /// Coverage in common over coverage of either.
     pub iou: f64,
+    /// `xor` of each view.
+    pub per_view_xor: Vec<f64>,
 }
 
 /// The modes whose pictures are compared.
-const MODES: [Mode; 3] = [Mode::Flat, Mode::Lit, Mode::Normals];
+const MODES: [Mode; 4] = [Mode::Flat, Mode::Lit, Mode::Normals, Mode::Material];
 
 /// How far `other` is from `reference`. `progress` hears the share that is done, in `[0, 1]`, and what is being done.
 ///
@@ -159,7 +171,7 @@ pub fn compare(
 
     let sphere = bounding_sphere(&reference.mesh.positions);
     let pair = Pair::new(reference, other, sphere, options);
-    let mut sums: [ModeSums; 3] = Default::default();
+    let mut sums: [ModeSums; 4] = Default::default();
     let mut outlines = ImageErrorSums::default();
     for (view, camera) in Camera::views(options.views, sphere).iter().enumerate() {
         progress(0.1 + 0.9 * view as f64 / options.views as f64, "views");
@@ -172,7 +184,7 @@ pub fn compare(
         }
     }
     progress(1.0, "views");
-    let [flat, lit, normals] = sums.map(ModeSums::finish);
+    let [flat, lit, normals, material] = sums.map(ModeSums::finish);
     let outlines = outlines.finish();
     let diagonal = distance.diagonal.max(f64::MIN_POSITIVE);
     Ok(Comparison {
@@ -182,7 +194,13 @@ pub fn compare(
         flat,
         lit,
         normals,
-        silhouette: SilhouetteError { rmse: outlines.rmse, xor: outlines.silhouette_xor, iou: outlines.silhouette_iou },
+        material,
+        silhouette: SilhouetteError {
+            rmse: outlines.rmse,
+            xor: outlines.silhouette_xor,
+            iou: outlines.silhouette_iou,
+            per_view_xor: outlines.per_view_xor,
+        },
         distance,
         relative_distance: distance.in_diagonals(),
         relative_spacing: (area / options.samples.max(1) as f64).sqrt() / diagonal,
@@ -221,9 +239,11 @@ impl ModeSums {
     }
 
     fn finish(self) -> ModeError {
-        let ImageError { rmse, rmse_mean, rmse_worst, rmse_object, psnr, per_view, .. } = self.squares.finish();
+        let squares = self.squares.finish();
+        let ImageError { rmse, rmse_mean, rmse_worst, rmse_object, rmse_both, psnr, .. } = squares;
         let (ssim, flip) = (self.ssim.means(1.0), self.flip.means(0.0));
-        ModeError { rmse, rmse_object, rmse_worst, rmse_mean, psnr, ssim, flip, per_view }
+        let (per_view, per_view_both) = (squares.per_view, squares.per_view_both);
+        ModeError { rmse, rmse_object, rmse_both, rmse_worst, rmse_mean, psnr, ssim, flip, per_view, per_view_both }
     }
 }
 

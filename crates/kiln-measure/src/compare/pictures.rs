@@ -52,11 +52,11 @@ pub(super) fn mips(reference: &Scene<'_>, other: &Scene<'_>, sphere: Sphere, sam
     [own_mip as u32, (own_mip + shift).max(0.0) as u32]
 }
 
-/// Original, other and their difference under a light, with the difference's scale, for `rows` views from the one with the
-/// greatest lit RMSE to the one with the least.
+/// Original, other and their difference with all maps under the object's own lights, with the difference's scale, for `rows`
+/// views from the one with the greatest RMSE over pixels that both cover to the one with the least.
 pub fn contact_sheet(reference: &Scene<'_>, other: &Scene<'_>, comparison: &Comparison, rows: usize) -> Raster {
     let options = &comparison.options;
-    let errors = &comparison.lit.per_view;
+    let (errors, outlines) = (&comparison.material.per_view_both, &comparison.silhouette.per_view_xor);
     let views = spread(errors, rows);
     let sphere = bounding_sphere(&reference.mesh.positions);
     let cameras = Camera::views(options.views, sphere);
@@ -64,7 +64,7 @@ pub fn contact_sheet(reference: &Scene<'_>, other: &Scene<'_>, comparison: &Comp
     let drawn: Vec<(usize, Raster, Raster, Vec<f32>)> = views
         .iter()
         .map(|view| {
-            let (seen, other_seen) = pair.draw(&cameras[*view], Mode::Lit);
+            let (seen, other_seen) = pair.draw(&cameras[*view], Mode::Material);
             (*view, seen.to_raster(), other_seen.to_raster(), differences(&seen, &other_seen))
         })
         .collect();
@@ -74,10 +74,11 @@ pub fn contact_sheet(reference: &Scene<'_>, other: &Scene<'_>, comparison: &Comp
         .into_iter()
         .map(|(view, seen, other_seen, values)| {
             let heat = heat_map(options.size, options.size, &values, end);
+            let (both, outline) = (100.0 * errors[view] / 255.0, 100.0 * outlines[view]);
             vec![
                 Tile { picture: seen, caption: format!("view {view}\n{} triangles", comparison.reference.triangles) },
                 Tile { picture: other_seen, caption: format!("other\n{} triangles", comparison.other.triangles) },
-                Tile { picture: heat, caption: format!("difference\nrmse {:.2}", errors[view]) },
+                Tile { picture: heat, caption: format!("both {both:.2} %\noutline {outline:.2} %") },
                 Tile { picture: colour_bar(options.size, end), caption: "codes".into() },
             ]
         })

@@ -14,11 +14,13 @@
 //!
 //! **Spaces of colour.** All modes but [`Mode::Shaded`] compute on sRGB codes (0..255) as they lie in the files, factor and
 //! light multiplied onto the code: the convention of the image metrics in the literature. [`Mode::Shaded`] decodes to linear
-//! light first and encodes the mean.
+//! light first and encodes the mean. So does [`Mode::Material`], which draws all five maps of a metallic-roughness material by the
+//! formulas that engines get as `shaders/apply_maps.wgsl`, under lights fixed to the object ([`apply_maps::Lights::OBJECT`]).
 //!
 //! **Limits.** Blended materials are drawn opaque. No shadows, no reflections; metallic surfaces keep their base colour as
-//! diffuse. Mip levels are chosen by face, without anisotropy. The eye must lie outside the model.
+//! diffuse, but for [`Mode::Material`]. Mip levels are chosen by face, without anisotropy. The eye must lie outside the model.
 
+pub mod apply_maps;
 mod shade;
 #[cfg(test)]
 mod tests;
@@ -44,6 +46,9 @@ pub enum Mode {
     Lit,
     /// A key light, a fill light, sky and highlights in linear light. For looking at.
     Shaded,
+    /// All maps of the material under one light and a sky that are fixed to the object, in linear light; faces without a material
+    /// are matt grey. What an engine shows, and for measuring it.
+    Material,
     /// Normals in object space: `255 (n + 1) / 2`.
     Normals,
     /// White where anything is.
@@ -72,7 +77,7 @@ pub struct RenderOptions {
     pub background: [u8; 3],
     /// What the colours say.
     pub mode: Mode,
-    /// Whether normal maps bend normals (modes `Lit`, `Shaded`, `Normals`).
+    /// Whether normal maps bend normals (modes `Lit`, `Shaded`, `Material`, `Normals`).
     pub normal_map: bool,
     /// Draw the back of single-sided materials too.
     pub two_sided: bool,

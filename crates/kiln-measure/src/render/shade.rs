@@ -1,22 +1,26 @@
 //! From a face and barycentric coordinates to a colour.
 
 use glam::{Vec2, Vec3, Vec4};
-use kiln_asset::{AlphaMode, MapRole, Material, Sampler};
+use kiln_asset::{AlphaMode, MapRole, Material, Raster, Sampler};
 use kiln_geom::colour::{linear_to_srgb_f32, srgb_to_linear};
 use kiln_geom::math;
 
+use super::apply_maps::{self, Lights, bend, bitangent, decode_normal};
 use super::{Frame, Mip, Mode, RenderOptions, codes, is_front, mix};
 use crate::scene::{Scene, Shading};
 use crate::texture::MipChain;
 
-/// Linear grey of faces without a material in [`Mode::Shaded`]; in all others they are white, as glTF's default material.
+/// Linear grey of faces without a material in [`Mode::Shaded`] and [`Mode::Material`], where they are matt; in all others they are
+/// white, as glTF's default material.
 const CLAY: f32 = 0.42;
 
 /// A material with its pictures filtered.
 struct Look<'a> {
     material: Option<&'a Material>,
     base_color: Option<Map<'a>>,
+    metallic_roughness: Option<Map<'a>>,
     normal: Option<Map<'a>>,
+    occlusion: Option<Map<'a>>,
     emissive: Option<Map<'a>>,
     double_sided: bool,
 }
@@ -42,28 +46,40 @@ pub(super) struct Surface<'a> {
 impl<'a> Surface<'a> {
     pub(super) fn new(scene: &Scene<'a>, options: &RenderOptions) -> Surface<'a> {
         let RenderOptions { mode, background, normal_map, mip, .. } = *options;
-        let has_normals = matches!(mode, Mode::Lit | Mode::Shaded | Mode::Normals);
+        let has_normals = !matches!(mode, Mode::Flat | Mode::Silhouette);
         let map = |material: Option<&Material>, role: MapRole, wanted: bool| {
             let reference = material.filter(|_| wanted)?.map(role)?;
             let (picture, uv) = (scene.picture(reference)?, scene.uv(reference.uv_set)?);
             let chain = match mip {
                 Mip::PerFace => MipChain::whole(picture),
-                Mip::Fixed(level) => MipChain::only(picture, level),
+                Mip::Fixed(level) => {
+                    // The level is that of base colour: a map of another size has texels as fine at another level.
+                    let base = material.and_then(|m| m.base_color).and_then(|base| scene.picture(base));
+                    let side = |picture: &Raster| picture.width.max(picture.height) as f32;
+                    let shift = match base {
+                        Some(base) if mode == Mode::Material => math::log2(side(picture) / side(base)).round(),
+                        _ => 0.0,
+                    };
+                    MipChain::only(picture, (level as f32 + shift).max(0.0) as u32)
+                }
             };
             Some(Map { chain, sampler: scene.materials.textures[reference.texture.index()].sampler, uv })
         };
         let look = |submesh: usize| {
             let material = scene.material(kiln_asset::SubmeshId(submesh as u32));
             let masked = material.is_some_and(|m| m.alpha_mode == AlphaMode::Mask);
+            let whole = mode == Mode::Material;
             Look {
                 material,
                 base_color: map(
                     material,
                     MapRole::BaseColor,
-                    masked || matches!(mode, Mode::Flat | Mode::Lit | Mode::Shaded),
+                    masked || whole || matches!(mode, Mode::Flat | Mode::Lit | Mode::Shaded),
                 ),
+                metallic_roughness: map(material, MapRole::MetallicRoughness, whole),
                 normal: map(material, MapRole::Normal, normal_map && has_normals),
-                emissive: map(material, MapRole::Emissive, mode == Mode::Shaded),
+                occlusion: map(material, MapRole::Occlusion, whole),
+                emissive: map(material, MapRole::Emissive, whole || mode == Mode::Shaded),
                 double_sided: material.is_some_and(|m| m.double_sided),
             }
         };
@@ -99,7 +115,7 @@ impl<'a> Surface<'a> {
     /// The background in the space in which samples are averaged.
     pub(super) fn background(&self) -> Vec3 {
         match self.mode {
-            Mode::Shaded => Vec3::from(self.background.map(srgb_to_linear)),
+            Mode::Shaded | Mode::Material => Vec3::from(self.background.map(srgb_to_linear)),
             _ => codes(self.background),
         }
     }
@@ -107,7 +123,9 @@ impl<'a> Surface<'a> {
     /// A pixel's code from the mean of its samples.
     pub(super) fn encode(&self, mean: Vec3) -> Vec3 {
         let code = match self.mode {
-            Mode::Shaded => Vec3::from(mean.clamp(Vec3::ZERO, Vec3::ONE).to_array().map(linear_to_srgb_f32)) * 255.0,
+            Mode::Shaded | Mode::Material => {
+                Vec3::from(mean.clamp(Vec3::ZERO, Vec3::ONE).to_array().map(linear_to_srgb_f32)) * 255.0
+            }
             _ => mean,
         };
         code.clamp(Vec3::ZERO, Vec3::splat(255.0))
@@ -125,6 +143,7 @@ impl<'a> Surface<'a> {
                 self.base(frame, face, bary, texel_codes).truncate() * light
             }
             Mode::Shaded => self.shaded(frame, face, bary),
+            Mode::Material => self.lit_material(frame, face, bary),
         }
     }
 
@@ -153,14 +172,50 @@ impl<'a> Surface<'a> {
             0.85 * n.dot(key).max(0.0) + 0.25 * n.dot(fill).max(0.0) + 0.12 + 0.10 * (0.5 + 0.5 * n.dot(above));
         let highlight = |light: Vec3| math::pow(n.dot((light + eye).normalize_or_zero()).max(0.0), 40.0);
         let specular = 0.18 * highlight(key) + 0.05 * highlight(fill);
-        let emissive = match (look.material, &look.emissive) {
-            (Some(material), Some(map)) => {
-                Vec3::from(material.emissive_factor) * self.read(map, frame, face, bary, texel_light).truncate()
-            }
-            (Some(material), None) => Vec3::from(material.emissive_factor),
-            (None, _) => Vec3::ZERO,
+        base * diffuse + specular + self.emissive(frame, face, bary)
+    }
+
+    /// Light sent out by itself, linear.
+    fn emissive(&self, frame: &Frame<'_>, face: u32, bary: [f32; 3]) -> Vec3 {
+        let look = self.look(face);
+        let Some(material) = look.material else { return Vec3::ZERO };
+        let factor = Vec3::from(material.emissive_factor);
+        match &look.emissive {
+            Some(map) => factor * self.read(map, frame, face, bary, texel_light).truncate(),
+            None => factor,
+        }
+    }
+
+    /// All maps under the object's own lights, each sample no lighter than a screen.
+    fn lit_material(&self, frame: &Frame<'_>, face: u32, bary: [f32; 3]) -> Vec3 {
+        let look = self.look(face);
+        let base = self.base(frame, face, bary, texel_light).truncate();
+        let read = |map: &Option<Map<'_>>| match map {
+            Some(map) => self.read(map, frame, face, bary, texel_codes).truncate() / 255.0,
+            None => Vec3::ONE,
         };
-        base * diffuse + specular + emissive
+        let surface = match look.material {
+            Some(material) => {
+                let rough_metal = read(&look.metallic_roughness);
+                apply_maps::Surface {
+                    base,
+                    metallic: material.metallic_factor * rough_metal.z,
+                    roughness: material.roughness_factor * rough_metal.y,
+                    open: 1.0 + material.occlusion_strength * (read(&look.occlusion).x - 1.0),
+                    emissive: self.emissive(frame, face, bary),
+                }
+            }
+            None => {
+                let base = CLAY * base;
+                apply_maps::Surface { base, metallic: 0.0, roughness: 1.0, open: 1.0, emissive: Vec3::ZERO }
+            }
+        };
+        let mut normal = self.normal(frame, face, bary);
+        if frame.corners(face).is_some_and(|corners| !is_front(&corners)) {
+            normal = -normal;
+        }
+        let eye = frame.camera.towards_eye(self.place(face, bary)).as_vec3();
+        apply_maps::shade(&surface, normal, eye, &Lights::OBJECT).clamp(Vec3::ZERO, Vec3::ONE)
     }
 
     /// Base colour: map times factor times vertex colour, `decode` deciding the space of all three.
@@ -206,10 +261,9 @@ impl<'a> Surface<'a> {
         let bent = match &self.look(face).normal {
             Some(map) if self.normal_map => {
                 let scale = self.look(face).material.map_or(1.0, |m| m.normal_scale);
-                let texel = self.read(map, frame, face, bary, texel_codes).truncate() / 127.5 - 1.0;
-                let texel = texel * Vec3::new(scale, scale, 1.0);
+                let texel = self.read(map, frame, face, bary, texel_codes).truncate() / 255.0;
                 let (tangent, bitangent) = self.tangents(shading, face, bary, normal, map.uv);
-                texel.x * tangent + texel.y * bitangent + texel.z * normal
+                bend(decode_normal(texel, scale, false), normal, tangent, bitangent)
             }
             _ => normal,
         };
@@ -227,7 +281,7 @@ impl<'a> Surface<'a> {
             let own = triangle.map(|v| tangents[v as usize]);
             let tangent = mix(bary, own.map(Vec4::truncate)).as_vec3();
             let w = bary[0] * own[0].w + bary[1] * own[1].w + bary[2] * own[2].w;
-            return (tangent, w.signum() * normal.cross(tangent));
+            return (tangent, bitangent(normal, tangent, w));
         }
         // No tangents: directions of constant v and u on the face, made perpendicular to the normal.
         let [p, q, r] = triangle.map(|v| mesh.positions[v as usize]);

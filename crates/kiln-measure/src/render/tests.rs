@@ -43,6 +43,7 @@ fn with_map(role: kiln_asset::MapRole, sampler: Sampler) -> MaterialSet {
         materials: vec![material],
         textures: vec![Texture { image: ImageId(0), sampler }],
         images: vec![ImageInfo { name: "map".into(), format: ImageFormat::Raster, hash: [0; 32] }],
+        ..Default::default()
     }
 }
 
@@ -316,4 +317,67 @@ fn the_mean_mip_counts_texels_a_sample() {
     assert_eq!([64, 128, 511, 512, 1024].map(|pixels| scene.mean_mip(sphere, pixels)), [3, 2, 0, 0, 0]);
     let none = Scene { images: &[], ..scene };
     assert_eq!(none.mean_mip(sphere, 64), 0);
+}
+
+#[test]
+fn every_map_of_the_material_is_drawn_by_the_shaders_formulas() {
+    use apply_maps::{Lights, Surface, shade};
+    use kiln_asset::MapRole;
+    let lights = Lights::OBJECT;
+    let flat = mesh(quad(0.0));
+    let plain = Surface { base: Vec3::ONE, metallic: 1.0, roughness: 1.0, open: 1.0, emissive: Vec3::ZERO };
+    let light = |code: u8| kiln_geom::colour::srgb_to_linear(code);
+    // The expected surface and normal for a material whose one map is filled with (51, 102, 204).
+    let part = [51, 102, 204].map(|c| c as f32 / 255.0);
+    let cases = [
+        (MapRole::BaseColor, Surface { base: Vec3::new(light(51), light(102), light(204)), ..plain }, Vec3::Z),
+        (MapRole::MetallicRoughness, Surface { roughness: part[1], metallic: part[2], ..plain }, Vec3::Z),
+        (MapRole::Occlusion, Surface { open: part[0], ..plain }, Vec3::Z),
+        (MapRole::Emissive, Surface { emissive: 0.5 * Vec3::new(light(51), light(102), light(204)), ..plain }, Vec3::Z),
+        (MapRole::Normal, plain, (2.0 * Vec3::from(part) - 1.0).normalize()),
+    ];
+    for (role, surface, normal) in cases {
+        let mut materials = with_map(role, Sampler::default());
+        materials.materials[0].emissive_factor = if role == MapRole::Emissive { [0.5; 3] } else { [0.0; 3] };
+        let images = [Raster::filled(4, 4, [51, 102, 204, 255])];
+        let scene = Scene { mesh: &flat, materials: &materials, images: &images };
+        let drawn = render(&scene, &front(), &RenderOptions { mode: Mode::Material, normal_map: true, ..options(8) });
+        let expected = shade(&surface, normal, Vec3::Z, &lights).clamp(Vec3::ZERO, Vec3::ONE);
+        let codes = Vec3::from(expected.to_array().map(kiln_geom::colour::linear_to_srgb_f32)) * 255.0;
+        assert!((drawn.codes[27] - codes).length() < 0.02, "{role:?}: {} for {codes}", drawn.codes[27]);
+        assert!(surface != plain || normal != Vec3::Z, "a case that tests nothing");
+    }
+    // From behind, a sheet shows its back, lit from there.
+    let bare = MaterialSet::default();
+    let scene = Scene { mesh: &flat, materials: &bare, images: &[] };
+    let behind = Camera { right: -DVec3::X, back: -DVec3::Z, ..front() };
+    let both = RenderOptions { mode: Mode::Material, two_sided: true, ..options(8) };
+    let clay = Surface { base: Vec3::splat(0.42), metallic: 0.0, ..plain };
+    for (camera, normal) in [(front(), Vec3::Z), (behind, -Vec3::Z)] {
+        let code = kiln_geom::colour::linear_to_srgb_f32(shade(&clay, normal, normal, &lights).x) * 255.0;
+        assert!((render(&scene, &camera, &both).codes[27].x - code).abs() < 0.02);
+    }
+}
+
+#[test]
+fn a_map_of_half_the_size_is_read_one_level_finer() {
+    use kiln_asset::MapRole;
+    // Base colour of 16, occlusion of 8 texels: at level 2 of the one the other is at level 1.
+    let mut materials = with_map(MapRole::BaseColor, Sampler::default());
+    materials.materials[0].occlusion = Some(TextureRef { texture: TextureId(1), uv_set: 0 });
+    materials.textures.push(Texture { image: ImageId(1), sampler: Sampler::default() });
+    materials.images.push(materials.images[0].clone());
+    let checks = (0..64u32).map(|t| [if (t % 8 / 2 + t / 16) % 2 == 0 { 255 } else { 0 }; 4]).collect();
+    let images = [Raster::filled(16, 16, [255; 4]), Raster { width: 8, height: 8, texels: checks }];
+    let flat = mesh(quad(0.0));
+    let scene = Scene { mesh: &flat, materials: &materials, images: &images };
+    let draw = |level| {
+        let options = RenderOptions { mode: Mode::Material, mip: Mip::Fixed(level), ..options(8) };
+        let codes = render(&scene, &front(), &options).codes;
+        codes.iter().fold((255.0f32, 0.0f32), |(low, high), c| (low.min(c.x), high.max(c.x)))
+    };
+    let (low, high) = draw(2);
+    assert!(high - low > 8.0, "checks of two texels are whole at level 1: {low} to {high}");
+    let (low, high) = draw(3);
+    assert!(high - low < 1.0, "and grey at level 2: {low} to {high}");
 }

@@ -148,7 +148,7 @@ impl Source {
 /// The pictures of the maps that are drawn; the others stay empty.
 fn decoded(model: &Path, materials: &MaterialSet, images: &[impl AsRef<[u8]>]) -> Result<Vec<Raster>, Exit> {
     let mut wanted = vec![false; images.len()];
-    for reference in materials.materials.iter().flat_map(|m| [m.map(MapRole::BaseColor), m.map(MapRole::Normal)]) {
+    for reference in materials.materials.iter().flat_map(|m| MapRole::ALL.map(|role| m.map(role))) {
         let texture = reference.and_then(|reference| materials.textures.get(reference.texture.index()));
         if let Some(wanted) = texture.and_then(|texture| wanted.get_mut(texture.image.index())) {
             *wanted = true;
@@ -209,20 +209,31 @@ fn table(report: &Report<'_>) -> String {
     );
     let _ = writeln!(
         out,
-        "{:<10} {:>8} {:>8} {:>8} {:>7} {:>8} {:>8} {:>8} {:>8}",
-        "pictures", "RMSE", "object", "worst", "PSNR", "SSIM", "object", "FLIP", "object"
+        "{:<10} {:>8} {:>8} {:>8} {:>8} {:>7} {:>8} {:>8} {:>8} {:>8}",
+        "pictures", "RMSE", "object", "both", "worst", "PSNR", "SSIM", "object", "FLIP", "object"
     );
-    for (name, mode) in [("flat", &found.flat), ("lit", &found.lit), ("normals", &found.normals)] {
-        let ModeError { rmse, rmse_object, rmse_worst, psnr, ssim, flip, .. } = mode;
+    let modes =
+        [("flat", &found.flat), ("lit", &found.lit), ("normals", &found.normals), ("material", &found.material)];
+    for (name, mode) in modes {
+        let ModeError { rmse, rmse_object, rmse_both, rmse_worst, psnr, ssim, flip, .. } = mode;
         let _ = writeln!(
             out,
-            "{name:<10} {rmse:>8.3} {rmse_object:>8.3} {rmse_worst:>8.3} {psnr:>7.2} {:>8.5} {:>8.5} {:>8.5} {:>8.5}",
+            "{name:<10} {rmse:>8.3} {rmse_object:>8.3} {rmse_both:>8.3} {rmse_worst:>8.3} {psnr:>7.2} {:>8.5} {:>8.5} {:>8.5} {:>8.5}",
             ssim.all, ssim.object, flip.all, flip.object
         );
     }
     let outline = &found.silhouette;
-    let _ =
-        writeln!(out, "{:<10} {:>8.3}  IoU {:.5}, XOR {:.5}\n", "silhouette", outline.rmse, outline.iou, outline.xor);
+    let _ = writeln!(out, "{:<10} {:>8.3}  IoU {:.5}, XOR {:.5}", "silhouette", outline.rmse, outline.iou, outline.xor);
+    let percent = |code: f64| 100.0 * code / 255.0;
+    let worst = found.material.per_view_both.iter().fold(0.0f64, |worst, error| worst.max(*error));
+    let _ = writeln!(
+        out,
+        "{:<10} {:>8.3} % of full range: material, RMSE of the pixels that both cover (worst view {:.3} %); outlines {:.3} %\n",
+        "surface",
+        percent(found.material.rmse_both),
+        percent(worst),
+        100.0 * outline.xor
+    );
 
     let (lengths, shares) = (&found.distance, &found.relative_distance);
     let _ = writeln!(out, "{:<10} {:>10} {:>10}", "distance", "diag", "m");

@@ -191,8 +191,10 @@ fn extras_hold_what_their_names_say() {
     near(at(ExtraMap::Opacity, 12), [0.5; 3]);
     near(at(ExtraMap::Coverage, 12), [1.0; 3]);
     near(at(ExtraMap::Curvature, 3), [0.0; 3]);
-    near(at(ExtraMap::BentNormal, 12), [0.5, 0.5, 1.0]);
     near(at(ExtraMap::AmbientOcclusion, 12), [1.0; 3]);
+    // 64 rays know the mean direction to a degree.
+    let [x, y, z, _] = at(ExtraMap::BentNormal, 12);
+    assert!(degrees(2.0 * Vec3::new(x, y, z) - 1.0, Vec3::Z) < 1.5);
 }
 
 #[test]
@@ -242,4 +244,40 @@ fn each_sheet_has_maps_and_materials_of_its_own() {
     assert!(finest.uv0.as_ref().unwrap().iter().all(|uv| (0.0..=1.0).contains(&uv.x)));
     assert_eq!(baked.materials.materials[1].base_color.unwrap().texture.0, 2);
     crate::transfer::check::check(&low, &baked.levels, &baked.materials, baked.pictures.len()).unwrap();
+}
+
+#[test]
+fn occlusion_comes_from_the_source_from_rays_or_from_both() {
+    // A floor with a wall along x = 1: at its foot half of the cosine-weighted sky is gone.
+    let mut raw = both(hills(4, 0.0, 1.0), hills(4, 0.0, 1.0));
+    let half = raw.positions.len() / 2;
+    for (p, n) in raw.positions[half..].iter_mut().zip(&mut raw.normals.as_mut().unwrap()[half..]) {
+        (*p, *n) = (Vec3::new(1.0, 40.0 * (p.y - 0.5), 40.0 * p.x), Vec3::NEG_X);
+    }
+    raw.triangles.truncate(raw.triangles.len());
+    let flip = raw.triangles.len() / 2;
+    raw.triangles[flip..].iter_mut().for_each(|t| t.swap(1, 2));
+    let high = valid(raw);
+    let low = one_level(plane(0.0, upright), 32, 8);
+    let go = |occlusion| {
+        let options = BakeOptions {
+            maps: vec![MapRole::Occlusion],
+            occlusion,
+            size: 32,
+            rays: 512,
+            ray_length: Some(1000.0),
+            ..within(0.01, &BakeOptions::default())
+        };
+        bake_floats(&high, &low, &MaterialSet::default(), &options)
+    };
+    use crate::transfer::OcclusionSource::{Both, Rays, Source};
+    assert_eq!(go(Source).report.neutral_maps, [MapRole::Occlusion]);
+    for source in [Rays, Both] {
+        let baked = go(source);
+        let Picture::Plain(map) = &baked.pictures[0] else { panic!("8 bits") };
+        let (foot, away) = (map.texels[16 * 32 + 31][0], map.texels[16 * 32][0]);
+        // An endless wall from the foot up takes (1 - cos a) / 2, a the angle from its top to the floor's normal: here 1/2.
+        assert!(foot.abs_diff(128) <= 6 && away > foot, "{foot} and {away}");
+        assert!(baked.materials.materials[0].occlusion.is_some());
+    }
 }

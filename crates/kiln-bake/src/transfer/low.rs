@@ -299,6 +299,13 @@ impl Lines {
         [1.0 - b1 - b2, b1, b2]
     }
 
+    /// Whether the triangle faces none of the lines: their directions lie between the corners'.
+    #[inline]
+    pub(crate) fn behind(&self, [a, b, c]: &[DVec3; 3]) -> bool {
+        let normal = (*b - *a).cross(*c - *a);
+        self.corner_directions.iter().all(|d| d.dot(normal) <= 0.0)
+    }
+
     /// Places from which lines can reach the triangle (corners from `base`): least and greatest; `None`: none within reach.
     #[inline]
     pub(crate) fn places(&self, corners: &[DVec3; 3]) -> Option<[DVec2; 2]> {

@@ -137,7 +137,11 @@ impl<'a> Search<'a> {
                 Matching::Name if same != Some(self.high.face_submesh[high as usize]) => continue,
                 Matching::Name => false,
             };
-            let Some([lo, hi]) = lines.places(&self.corners(high, lines.base)) else { continue };
+            let corners = self.corners(high, lines.base);
+            if !self.back_faces && lines.behind(&corners) {
+                continue;
+            }
+            let Some([lo, hi]) = lines.places(&corners) else { continue };
             // The first sample whose centre lies at or behind a place, and the first behind it.
             let after = |c: f64, k: usize, slack: f64| {
                 let at = (c + f64::from(lines.pixel[k])) * f64::from(low.samples) - 0.5 + slack;
@@ -199,6 +203,7 @@ impl<'a> Search<'a> {
         let width = (bin.rect.x1 - bin.rect.x0) as usize;
         let step = 1.0 / f64::from(bin.samples);
         let DVec2 { x: first, .. } = lines.place([x0, y0], bin.samples);
+        let spans = Spans::new(&target, first, step, x1 - x0);
         for y in y0..y1 {
             let v = lines.place([x0, y], bin.samples).y;
             // In one row the edges are quadratics in x.
@@ -206,7 +211,7 @@ impl<'a> Search<'a> {
             let [a, b, c] = [row(&target.edges[0]), row(&target.edges[1]), row(&target.edges[2])];
             let height = target.height[0] + target.height[2] * v;
             let (from, to) =
-                if self.back_faces { (0, x1 - x0) } else { span([&a, &b, &c], target.open, [first, step], x1 - x0) };
+                if self.back_faces { (0, x1 - x0) } else { spans.of([&a, &b, &c], target.open, step, x1 - x0) };
             let start = (y - bin.rect.y0) as usize * width + (x0 - bin.rect.x0) as usize;
             for k in from..to {
                 let index = start + k as usize;
@@ -244,29 +249,45 @@ impl<'a> Search<'a> {
     }
 }
 
-/// The samples of a row, of `count` from `first` in steps of `step`, outside of which one of three quadratics is below `-open`: a first and
-/// one behind the last. Within them it may be too.
-#[inline]
-fn span(edges: [&[f64; 3]; 3], open: f64, [first, step]: [f64; 2], count: u32) -> (u32, u32) {
-    // About the middle of the row a quadratic is its tangent and at most this much more.
-    let half = 0.5 * f64::from(count) * step;
-    let middle = first + half - 0.5 * step;
-    let (mut from, mut to) = (-half, half);
-    for e in edges {
-        let value = e[0] + middle * (e[1] + middle * e[2]) + e[2].max(0.0) * half * half + open;
-        let slope = e[1] + 2.0 * middle * e[2];
-        let root = -value / slope;
-        if slope > 0.0 {
-            from = from.max(root);
-        } else if slope < 0.0 {
-            to = to.min(root);
-        } else if value < 0.0 {
-            return (0, 0);
-        }
+/// Where in a row of samples a triangle can lie: its edges about the middle of the row.
+struct Spans {
+    /// Half of the row's length, and the middle's x.
+    half: f64,
+    middle: f64,
+    /// One over each edge's slope in x; NaN where it changes from row to row.
+    inverse: [f64; 3],
+}
+
+impl Spans {
+    fn new(target: &Target, first: f64, step: f64, count: u32) -> Spans {
+        let half = 0.5 * f64::from(count) * step;
+        let straight = |e: &[f64; 6]| if e[3] == 0.0 && e[4] == 0.0 { 1.0 / e[1] } else { f64::NAN };
+        let [a, b, c] = &target.edges;
+        Spans { half, middle: first + half - 0.5 * step, inverse: [straight(a), straight(b), straight(c)] }
     }
-    // A sample more on either side for what rounding does to the roots. Casts saturate.
-    let sample = |at: f64| (at + half) / step - 0.5;
-    (sample(from) as u32, ((sample(to) + 2.0).max(0.0) as u32).min(count))
+
+    /// The first sample of a row and one behind the last, outside of which one of the three quadratics is below `-open`. Within them
+    /// it may be too.
+    #[inline]
+    fn of(&self, edges: [&[f64; 3]; 3], open: f64, step: f64, count: u32) -> (u32, u32) {
+        let (mut from, mut to) = (-self.half, self.half);
+        for (e, inverse) in edges.into_iter().zip(self.inverse) {
+            // A quadratic is its tangent and at most this much more.
+            let value = e[0] + self.middle * (e[1] + self.middle * e[2]) + e[2].max(0.0) * self.half * self.half + open;
+            let slope = e[1] + 2.0 * self.middle * e[2];
+            let inverse = if inverse.is_nan() { 1.0 / slope } else { inverse };
+            if slope > 0.0 {
+                from = from.max(-value * inverse);
+            } else if slope < 0.0 {
+                to = to.min(-value * inverse);
+            } else if value < 0.0 {
+                return (0, 0);
+            }
+        }
+        // A sample more on either side for what rounding does to the roots. Casts saturate.
+        let sample = |at: f64| (at + self.half) / step - 0.5;
+        (sample(from) as u32, ((sample(to) + 2.0).max(0.0) as u32).min(count))
+    }
 }
 
 /// The inner side of an edge of a low face on the sheet of samples: `a x + b y + c >= 0`.

@@ -13,7 +13,7 @@ use super::low::Low;
 const BIN_SAMPLES: u32 = 128;
 
 /// Greatest side of a bin, texels.
-const BIN_TEXELS: u32 = 64;
+const BIN_TEXELS: u32 = 128;
 
 /// Which faces lie in which bin of one sheet.
 pub(crate) struct Sheet {

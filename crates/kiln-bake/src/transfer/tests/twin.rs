@@ -459,8 +459,8 @@ fn stripes_hold_as_much_as_they_may_and_at_least_a_row_of_bins() {
         let sheet = Sheet::new(&Low::new(&models.low, models.low.atlas_uv.as_ref().unwrap(), 0, &options, [0.1; 2]));
         (device.rows(&sheet), sheet.across)
     };
-    assert_eq!(rows(1024, 1), (64, 16));
-    assert_eq!(rows(4096, 1), (16, 64));
+    assert_eq!(rows(1024, 1), (32, 8));
+    assert_eq!(rows(4096, 1), (8, 32));
     // 2^17 samples a side, more than a picture of any device is wide.
     assert_eq!(rows(16384, 8), (1, 1024));
 }

@@ -3,10 +3,12 @@
 use std::{env, fs, path::PathBuf};
 
 /// The crates whose behaviour reaches a stage's output, in the order of [`foreign`](src/foreign.rs)'s table.
-const NAMES: [&str; 12] = [
+const NAMES: [&str; 14] = [
     "basisu",
     "bevy_mikktspace",
+    "ctt-bc7f",
     "draco-core",
+    "exr",
     "glam",
     "image",
     "libm",

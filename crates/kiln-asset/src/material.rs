@@ -307,6 +307,16 @@ pub enum ImageFormat {
     Ktx2,
     /// [`crate::DeepRaster::to_blob`] bytes: what a bake makes where 8 bits are too few.
     Deep,
+    /// TIFF.
+    Tiff,
+    /// Truevision TGA.
+    Tga,
+    /// OpenEXR whose light is encoded as sRGB: what materials use as colour.
+    Exr,
+    /// OpenEXR whose values are taken as they are.
+    ExrLinear,
+    /// What OpenImageIO reads and kiln does not, where the build has it (`kiln-oiio`).
+    System,
 }
 
 impl ImageFormat {
@@ -319,6 +329,10 @@ impl ImageFormat {
             ImageFormat::Webp => "webp",
             ImageFormat::Ktx2 => "ktx2",
             ImageFormat::Deep => "deep",
+            ImageFormat::Tiff => "tiff",
+            ImageFormat::Tga => "tga",
+            ImageFormat::Exr | ImageFormat::ExrLinear => "exr",
+            ImageFormat::System => "oiio",
         }
     }
 }

@@ -65,7 +65,7 @@ codes! {
     Text "K303" "text" "A string is UTF-8 in normalisation form C and at most 65,535 bytes long."
     Reference "K304" "reference" "An index into another table or a section number is in range and of the right kind."
     Unreferenced "K305" "unreferenced" "Every payload section of a registered kind is used by a table."
-    NotFinite "K306" "not-finite" "Numbers in tables and vertex arrays are finite."
+    NotFinite "K306" "not-finite" "Numbers in tables, vertex arrays and float textures are finite."
     Value "K307" "value" "A value with a registry or a domain is one of it."
     LevelError "K308" "level-error" "Errors are not negative and do not fall from a finer to a coarser level."
     Needs "K309" "needs" "A level's list of needed sections is what its geometry and materials need."
@@ -75,7 +75,7 @@ codes! {
     Arrays "K313" "arrays" "Arrays tile their payload: registered semantics ascending, positions first, each on a multiple of 256."
     Box "K314" "box" "A bounding box is the smallest one."
     Mips "K315" "mips" "Mip sizes halve, rounding down, and each mip lies where its record says."
-    Role "K316" "role" "A texture's format suits the role in which a material uses it, and its roles are those of its users."
+    Role "K316" "role" "A texture's format suits its roles; these are those of its users or, where no material uses it, one extra."
 }
 
 /// A check that failed.

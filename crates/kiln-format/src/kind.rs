@@ -98,13 +98,18 @@ const fn row(kind: Kind, required: bool, alignment: u32, rank: u32, occurs: Occu
     KindRow { kind, version: 1, required, alignment, rank, occurs }
 }
 
-/// Section kinds of container version 1.0.
+/// Version of [`Kind::TEXTURES`] whose formats and roles are those of container 1.0; later ones came with 1.1.
+pub const FIRST_TEXTURES: u16 = 1;
+/// Version of [`Kind::TEXTURES`] with deep and block-compressed formats and extra pictures.
+pub const WIDE_TEXTURES: u16 = 2;
+
+/// Section kinds of container version 1.1.
 pub const KINDS: [KindRow; 10] = [
     row(Kind::STRINGS, true, TABLE_ALIGNMENT, 0, Occurs::Once),
     row(Kind::LEVELS, true, TABLE_ALIGNMENT, 1, Occurs::Once),
     row(Kind::SUBMESHES, true, TABLE_ALIGNMENT, 2, Occurs::Once),
     row(Kind::MATERIALS, true, TABLE_ALIGNMENT, 3, Occurs::Once),
-    row(Kind::TEXTURES, true, TABLE_ALIGNMENT, 4, Occurs::Once),
+    KindRow { version: WIDE_TEXTURES, ..row(Kind::TEXTURES, true, TABLE_ALIGNMENT, 4, Occurs::Once) },
     row(Kind::PROVENANCE, false, TABLE_ALIGNMENT, 5, Occurs::AtMostOnce),
     row(Kind::VERTICES, true, PAYLOAD_ALIGNMENT, 6, Occurs::Many),
     row(Kind::INDICES, true, PAYLOAD_ALIGNMENT, 6, Occurs::Many),
@@ -195,12 +200,24 @@ registry! {
 }
 
 registry! {
-    /// How a texel lies in memory.
+    /// How texels lie in memory; those from 3 on need version 2 of the texture table.
     TextureFormat {
         /// Four bytes, each n/255.
         Rgba8Unorm = 1 "rgba8-unorm",
         /// Four bytes; R, G and B are sRGB-encoded, A is n/255.
         Rgba8Srgb = 2 "rgba8-srgb",
+        /// Four 16-bit unsigned integers, each n/65535.
+        Rgba16Unorm = 3 "rgba16-unorm",
+        /// Four 16-bit floats.
+        Rgba16Float = 4 "rgba16-float",
+        /// Four 32-bit floats.
+        Rgba32Float = 5 "rgba32-float",
+        /// Two channels in blocks of 4 x 4 texels of 16 bytes (BC5, RGTC2).
+        Bc5Unorm = 6 "bc5-unorm",
+        /// Four channels in blocks of 4 x 4 texels of 16 bytes (BC7, BPTC).
+        Bc7Unorm = 7 "bc7-unorm",
+        /// As `bc7-unorm`; R, G and B are sRGB-encoded.
+        Bc7Srgb = 8 "bc7-srgb",
     }
 }
 
@@ -239,6 +256,36 @@ registry! {
         Metallic = 9 "metallic",
         /// Ambient occlusion, 1 = open.
         Occlusion = 10 "occlusion",
+        /// Signed distance of the source's surface along the texel's direction, object units, outwards positive.
+        Height = 11 "height",
+        /// x of a place on the source's surface, object space.
+        PositionX = 12 "position-x",
+        /// y of it.
+        PositionY = 13 "position-y",
+        /// z of it.
+        PositionZ = 14 "position-z",
+        /// x of a unit normal of the source's surface, axes of the asset.
+        ObjectNormalX = 15 "object-normal-x",
+        /// y of it.
+        ObjectNormalY = 16 "object-normal-y",
+        /// z of it.
+        ObjectNormalZ = 17 "object-normal-z",
+        /// Number of the source's submesh.
+        ObjectId = 18 "object-id",
+        /// Number of the source's material, -1: none.
+        MaterialId = 19 "material-id",
+        /// Mean curvature of the source's surface, 1 / object unit, convex positive.
+        Curvature = 20 "curvature",
+        /// x of the mean open direction, unit length, axes of the asset.
+        BentNormalX = 21 "bent-normal-x",
+        /// y of it.
+        BentNormalY = 22 "bent-normal-y",
+        /// z of it.
+        BentNormalZ = 23 "bent-normal-z",
+        /// Alpha of the source.
+        Opacity = 24 "opacity",
+        /// Share of the texel's samples that met the source's surface.
+        Coverage = 25 "coverage",
     }
 }
 
@@ -255,6 +302,32 @@ registry! {
         Occlusion = 3 "occlusion",
         /// Emission, sRGB.
         Emissive = 4 "emissive",
+    }
+}
+
+registry! {
+    /// What an extra picture holds, one that no material uses; bit `n` of a texture's role set is extra `n`.
+    Extra {
+        /// Signed distance to the source's surface.
+        Height = 5 "height",
+        /// Place on the source's surface.
+        Position = 6 "position",
+        /// Normal of the source's surface, axes of the asset.
+        ObjectNormal = 7 "object-normal",
+        /// Number of the source's submesh.
+        ObjectId = 8 "object-id",
+        /// Number of the source's material.
+        MaterialId = 9 "material-id",
+        /// Mean curvature of the source's surface.
+        Curvature = 10 "curvature",
+        /// Open share of the hemisphere.
+        AmbientOcclusion = 11 "ambient-occlusion",
+        /// Mean open direction.
+        BentNormal = 12 "bent-normal",
+        /// Alpha of the source.
+        Opacity = 13 "opacity",
+        /// Share of samples that met the source's surface.
+        Coverage = 14 "coverage",
     }
 }
 
@@ -281,12 +354,48 @@ impl VertexFormat {
     }
 }
 
-impl Role {
-    /// The format of a texture in this role.
-    pub fn format(self) -> TextureFormat {
+impl TextureFormat {
+    /// Bytes of one texel, or of one block where [`TextureFormat::is_block`].
+    pub fn unit_size(self) -> u64 {
         match self {
-            Role::BaseColor | Role::Emissive => TextureFormat::Rgba8Srgb,
-            _ => TextureFormat::Rgba8Unorm,
+            TextureFormat::Rgba8Unorm | TextureFormat::Rgba8Srgb => 4,
+            TextureFormat::Rgba16Unorm | TextureFormat::Rgba16Float => 8,
+            TextureFormat::Rgba32Float | TextureFormat::Bc5Unorm | TextureFormat::Bc7Unorm | TextureFormat::Bc7Srgb => {
+                16
+            }
+        }
+    }
+
+    /// Whether texels come in blocks of 4 x 4, those of the right and lower edge filled up.
+    pub fn is_block(self) -> bool {
+        matches!(self, TextureFormat::Bc5Unorm | TextureFormat::Bc7Unorm | TextureFormat::Bc7Srgb)
+    }
+
+    /// Whether R, G and B are sRGB-encoded.
+    pub fn is_srgb(self) -> bool {
+        matches!(self, TextureFormat::Rgba8Srgb | TextureFormat::Bc7Srgb)
+    }
+
+    /// Bytes of a mip of `width` x `height` texels (each at most [`crate::record::MAX_TEXTURE_SIZE`]).
+    pub fn mip_length(self, width: u32, height: u32) -> u64 {
+        let units = |side: u32| if self.is_block() { side.div_ceil(4) as u64 } else { side as u64 };
+        units(width) * units(height) * self.unit_size()
+    }
+
+    /// Whether version 1 of the texture table has it.
+    pub fn is_first(self) -> bool {
+        matches!(self, TextureFormat::Rgba8Unorm | TextureFormat::Rgba8Srgb)
+    }
+}
+
+impl Role {
+    /// The formats of a texture in this role, 8-bit first.
+    pub fn formats(self) -> &'static [TextureFormat] {
+        use TextureFormat::*;
+        match self {
+            Role::BaseColor | Role::Emissive => &[Rgba8Srgb, Rgba16Unorm, Rgba16Float, Rgba32Float, Bc7Srgb],
+            Role::Normal => &[Rgba8Unorm, Rgba16Unorm, Rgba16Float, Rgba32Float, Bc5Unorm, Bc7Unorm],
+            Role::MetallicRoughness | Role::Occlusion => &[Rgba8Unorm, Rgba16Unorm, Rgba16Float, Rgba32Float, Bc7Unorm],
         }
     }
 
@@ -300,6 +409,34 @@ impl Role {
             Role::Occlusion => [Occlusion, Unused, Unused, Unused],
             Role::Emissive => [Red, Green, Blue, Unused],
         }
+    }
+}
+
+impl Extra {
+    /// The formats of a texture that holds it.
+    pub const FORMATS: [TextureFormat; 4] =
+        [TextureFormat::Rgba8Unorm, TextureFormat::Rgba16Unorm, TextureFormat::Rgba16Float, TextureFormat::Rgba32Float];
+
+    /// What the four channels mean.
+    pub fn channels(self) -> [Channel; 4] {
+        use Channel::*;
+        match self {
+            Extra::Height => [Height, Unused, Unused, Unused],
+            Extra::Position => [PositionX, PositionY, PositionZ, Unused],
+            Extra::ObjectNormal => [ObjectNormalX, ObjectNormalY, ObjectNormalZ, Unused],
+            Extra::ObjectId => [ObjectId, Unused, Unused, Unused],
+            Extra::MaterialId => [MaterialId, Unused, Unused, Unused],
+            Extra::Curvature => [Curvature, Unused, Unused, Unused],
+            Extra::AmbientOcclusion => [Occlusion, Unused, Unused, Unused],
+            Extra::BentNormal => [BentNormalX, BentNormalY, BentNormalZ, Unused],
+            Extra::Opacity => [Opacity, Unused, Unused, Unused],
+            Extra::Coverage => [Coverage, Unused, Unused, Unused],
+        }
+    }
+
+    /// The extra of a role set, if it holds exactly one and no role of a material.
+    pub fn from_roles(roles: u32) -> Option<Extra> {
+        if roles.count_ones() == 1 { Extra::from_number(roles.trailing_zeros()) } else { None }
     }
 }
 

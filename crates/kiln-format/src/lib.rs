@@ -39,7 +39,7 @@ pub use aligned::AlignedBytes;
 pub use container::{Container, Indices, LevelView, Section, check};
 pub use content::full_mip_count;
 pub use error::{CheckReport, Code, FormatError};
-pub use kind::{Channel, ErrorKind, Kind, Role, Semantic, TextureFormat, VertexFormat};
+pub use kind::{Channel, ErrorKind, Extra, Kind, Role, Semantic, TextureFormat, VertexFormat};
 pub use provenance::Provenance;
 pub use record::{DrawRange, LevelRecord, MaterialRecord, MipRecord, SlotRecord, SubmeshRecord, TextureRecord};
 pub use write::{Content, LevelContent, PrivateSection, SubmeshContent, TextureContent, write};

@@ -12,8 +12,8 @@ pub const MAGIC: [u8; 8] = [0x89, b'K', b'L', b'N', 0x0D, 0x0A, 0x1A, 0x0A];
 pub const ENDIAN: u32 = 0x0102_0304;
 /// Major version: another one is refused.
 pub const MAJOR: u16 = 1;
-/// Minor version that this crate writes; newer ones are read.
-pub const MINOR: u16 = 0;
+/// Newest minor version that this crate knows; newer ones are read. The writer states the oldest that holds the content.
+pub const MINOR: u16 = 1;
 /// Bytes of the header.
 pub const HEADER_SIZE: usize = 96;
 /// Bytes of the header that the header's hash covers.
@@ -154,8 +154,10 @@ pub struct LevelRecord {
     pub first_need: u32,
     /// Number of its needed sections.
     pub need_count: u32,
+    /// Sheets of the UV layout if more than one (side by side in u), else 0; the same at every level. Since 1.1.
+    pub layout_sheets: u32,
     /// Zero.
-    pub reserved: [u32; 7],
+    pub reserved: [u32; 6],
 }
 
 /// One array of a level's vertex section.
@@ -303,7 +305,7 @@ pub struct TextureRecord {
     pub name: u32,
     /// [`crate::TextureFormat`].
     pub format: u32,
-    /// Set of [`crate::Role`]s in which materials use it: bit `n` is role `n`.
+    /// Set of [`crate::Role`]s in which materials use it, bit `n` being role `n`; or the one [`crate::Extra`] that it holds.
     pub roles: u32,
     /// [`crate::Channel`] of R, G, B, A.
     pub channels: [u8; 4],
@@ -319,8 +321,10 @@ pub struct TextureRecord {
     pub tail_first: u32,
     /// Section number of the tail.
     pub tail_section: u32,
+    /// Sheet of an extra picture, else 0. Since version 2 of the table.
+    pub sheet: u32,
     /// Zero.
-    pub reserved: [u32; 6],
+    pub reserved: [u32; 5],
 }
 
 /// One mip.
@@ -337,7 +341,7 @@ pub struct MipRecord {
     pub reserved: u32,
     /// From the start of the raw section, bytes; a multiple of 256.
     pub offset: u64,
-    /// Bytes: `4 * width * height`; rows follow each other without gap, top row first.
+    /// Bytes: [`crate::TextureFormat::mip_length`]; rows of texels or blocks follow each other without gap, top row first.
     pub length: u64,
 }
 

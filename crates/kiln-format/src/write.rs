@@ -9,7 +9,10 @@ use crate::aligned::AlignedBytes;
 use crate::container::Container;
 use crate::content::{full_mip_count, payload::box_of};
 use crate::error::{Code, FormatError};
-use crate::kind::{Channel, ErrorKind, Kind, PAYLOAD_ALIGNMENT, Role, Semantic, TABLE_ALIGNMENT, TextureFormat};
+use crate::kind::{
+    Channel, ErrorKind, Extra, FIRST_TEXTURES, Kind, PAYLOAD_ALIGNMENT, Role, Semantic, TABLE_ALIGNMENT, TextureFormat,
+    WIDE_TEXTURES,
+};
 use crate::provenance::{self, Provenance};
 use crate::record::*;
 
@@ -22,8 +25,8 @@ pub const TAIL_SIZE: u32 = 128;
 pub struct Content<'a> {
     /// Triangles of the source asset.
     pub source_triangles: u32,
-    /// Size (texels), padding (texels) and chart count of the UV layout in `uv0`.
-    pub layout: Option<[u32; 3]>,
+    /// Size (texels), padding (texels), chart count and sheet count of the UV layout in `uv0`.
+    pub layout: Option<[u32; 4]>,
     /// Finest first, at least one.
     pub levels: Vec<LevelContent<'a>>,
     /// What ranges of levels refer to.
@@ -75,11 +78,13 @@ pub struct TextureContent<'a> {
     pub format: TextureFormat,
     /// What R, G, B, A mean.
     pub channels: [Channel; 4],
+    /// For a picture that no material uses: what it holds, and its sheet.
+    pub extra: Option<(Extra, u32)>,
     /// Texels across.
     pub width: u32,
     /// Texels down.
     pub height: u32,
-    /// Mip 0 and on, each `4 * width * height` bytes, sizes halving and rounding down.
+    /// Mip 0 and on, each [`TextureFormat::mip_length`] bytes, sizes halving and rounding down.
     pub mips: Vec<Cow<'a, [u8]>>,
 }
 
@@ -156,7 +161,11 @@ pub fn write(content: &Content<'_>) -> Result<Vec<u8>, FormatError> {
     tables[1].1 = level_table(content, &payload);
     tables[4].1 = texture_table(content, &payload, &names, &roles);
 
+    let wide = content.textures.iter().any(|t| !t.format.is_first() || t.extra.is_some());
+    let minor = (wide || content.layout.is_some_and(|layout| layout[3] > 1)) as u16;
     let mut sections: Vec<Pending<'_>> = tables.into_iter().map(|(kind, bytes)| pending(kind, bytes.into())).collect();
+    // Whoever cannot read the new formats must refuse them; everybody else goes on as before.
+    sections[4].version = if wide { WIDE_TEXTURES } else { FIRST_TEXTURES };
     sections.extend(payload.sections.into_iter().map(|(kind, bytes)| pending(kind, bytes)));
     for private in &content.private {
         sections.push(Pending {
@@ -167,7 +176,7 @@ pub fn write(content: &Content<'_>) -> Result<Vec<u8>, FormatError> {
             bytes: Cow::Borrowed(&private.bytes),
         });
     }
-    let bytes = assemble(&sections);
+    let bytes = assemble(&sections, minor);
     let private_required = content.private.iter().any(|private| private.required);
     if private_required {
         // This reader rightly refuses the file; whoever wrote the section has the one that does not.
@@ -183,7 +192,7 @@ fn pending(kind: Kind, bytes: Cow<'_, [u8]>) -> Pending<'_> {
 }
 
 /// Payload first, header last.
-fn assemble(sections: &[Pending<'_>]) -> Vec<u8> {
+fn assemble(sections: &[Pending<'_>], minor: u16) -> Vec<u8> {
     let table_end = HEADER_SIZE + sections.len() * ENTRY_SIZE;
     let total: usize = sections.iter().map(|s| s.bytes.len() + s.alignment as usize).sum();
     let mut out = Vec::with_capacity(table_end + total);
@@ -212,7 +221,7 @@ fn assemble(sections: &[Pending<'_>]) -> Vec<u8> {
         magic: MAGIC,
         endian: ENDIAN,
         major: MAJOR,
-        minor: MINOR,
+        minor,
         file_length: out.len() as u64,
         table_offset: HEADER_SIZE as u64,
         section_count: sections.len() as u32,
@@ -421,7 +430,8 @@ fn level_table(content: &Content<'_>, payload: &Payload<'_>) -> Vec<u8> {
             array_count: payload.arrays[lod].len() as u32,
             first_need: needs.len() as u32,
             need_count: own.len() as u32,
-            reserved: [0; 7],
+            layout_sheets: content.layout.map_or(0, |layout| if layout[3] > 1 { layout[3] } else { 0 }),
+            reserved: [0; 6],
         });
         arrays.extend(&payload.arrays[lod]);
         needs.extend(own);
@@ -516,7 +526,7 @@ fn texture_table(content: &Content<'_>, payload: &Payload<'_>, names: &[u32], ro
         textures.push(TextureRecord {
             name: names[number],
             format: texture.format.number(),
-            roles: roles[number],
+            roles: roles[number] | texture.extra.map_or(0, |(extra, _)| 1 << extra.number()),
             channels: texture.channels.map(|channel| channel.number() as u8),
             width: texture.width,
             height: texture.height,
@@ -524,7 +534,8 @@ fn texture_table(content: &Content<'_>, payload: &Payload<'_>, names: &[u32], ro
             first_mip: mips.len() as u32,
             tail_first: tail_first(texture) as u32,
             tail_section: payload.tail_sections[number],
-            reserved: [0; 6],
+            sheet: texture.extra.map_or(0, |(_, sheet)| sheet),
+            reserved: [0; 5],
         });
         mips.extend(&payload.mips[number]);
     }

@@ -3,7 +3,7 @@
 use std::io;
 
 use kiln_asset::import::{
-    Files, ImageLimits, ImportError, ImportLimits, decode_image, image_format, image_size, import,
+    Files, ImageLimits, ImportError, ImportLimits, decode_image, image_format_of_file, image_size, import,
 };
 
 /// Limits on images: a picture of 65,536 texels, 256 KiB as RGBA8.
@@ -117,9 +117,9 @@ pub fn ply(bytes: &[u8]) {
     let _ = imports("ply", bytes);
 }
 
-/// The bytes as an image of the format that they claim to have.
+/// The bytes as an image of the format that they claim to have, or as TGA, which has no mark.
 pub fn image(bytes: &[u8]) {
-    let Some(format) = image_format(bytes) else { return };
+    let Some(format) = image_format_of_file("image.tga", bytes) else { return };
     let size = image_size(format, bytes);
     match decode_image(format, bytes, &IMAGE_LIMITS) {
         Ok(raster) => {

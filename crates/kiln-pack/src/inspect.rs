@@ -2,7 +2,7 @@
 
 use kiln_format::kind::codec_name;
 use kiln_format::record::{FLAG_REQUIRED, NONE};
-use kiln_format::{AlignedBytes, Channel, Container, ErrorKind, Role, Semantic, TextureFormat, VertexFormat};
+use kiln_format::{AlignedBytes, Channel, Container, ErrorKind, Extra, Role, Semantic, TextureFormat, VertexFormat};
 use serde::Serialize;
 
 use crate::PackError;
@@ -16,6 +16,8 @@ pub struct InspectReport {
     pub file_length: u64,
     /// Triangles of the source asset.
     pub source_triangles: u32,
+    /// Sheets of the UV layout, 0 without one.
+    pub sheets: u32,
     /// In file order.
     pub sections: Vec<InspectSection>,
     /// Finest first.
@@ -123,6 +125,10 @@ pub struct InspectTexture {
     pub format: &'static str,
     /// Roles in which materials use it.
     pub roles: Vec<&'static str>,
+    /// What it holds if it is an extra picture that no material uses.
+    pub extra: Option<&'static str>,
+    /// The sheet on which an extra lies.
+    pub sheet: u32,
     /// Meaning of R, G, B, A.
     pub channels: [&'static str; 4],
     /// Mips.
@@ -162,6 +168,10 @@ pub fn inspect(bytes: &[u8]) -> Result<InspectReport, PackError> {
         version: format!("{major}.{minor}"),
         file_length: bytes.len() as u64,
         source_triangles: container.level_header().source_triangles,
+        sheets: match container.level_header().has_layout {
+            0 => 0,
+            _ => container.level_records().first().map_or(1, |level| level.layout_sheets.max(1)),
+        },
         sections: sections(&container),
         levels: (0..container.level_records().len()).map(|lod| level(&container, lod)).collect(),
         submeshes: submeshes(&container),
@@ -258,6 +268,8 @@ fn texture(container: &Container<'_>, number: usize) -> InspectTexture {
         height: record.height,
         format: TextureFormat::from_number(record.format).map_or("unknown", TextureFormat::name),
         roles: Role::ALL.iter().filter(|role| record.roles >> role.number() & 1 == 1).map(|role| role.name()).collect(),
+        extra: Extra::from_roles(record.roles).map(Extra::name),
+        sheet: record.sheet,
         channels: record.channels.map(|c| Channel::from_number(c as u32).map_or("unknown", Channel::name)),
         mips: record.mip_count,
         bytes: mips.iter().map(|mip| mip.length).sum(),

@@ -1,21 +1,26 @@
-//! A level set to a container and back; GLB and PNG out.
+//! A level set to a container and back; GLB, PNG, EXR and KTX2 out.
 //!
 //! [`pack()`] writes, [`unpack()`] reads back into asset values, [`inspect()`] tells what is in a file, [`glb`] hands levels to
-//! other tools. Bytes only: the caller reads and writes files.
+//! other tools, [`files`] textures. Bytes only: the caller reads and writes files.
 
+mod bc;
+pub mod files;
 pub mod glb;
 pub mod inspect;
 pub mod mips;
 pub mod pack;
+pub mod picture;
 #[cfg(test)]
 mod tests;
+mod textures;
 pub mod unpack;
 
 pub use glb::{ExportLevels, ExportReport, export_container_glb, export_glb};
 pub use inspect::{InspectReport, inspect};
 pub use kiln_format::{FormatError, Provenance};
-pub use pack::{Layout, PackOptions, PackReport, PackedLevel, pack};
-pub use unpack::unpack;
+pub use pack::{Coding, Layout, PackOptions, PackReport, PackedLevel, pack};
+pub use picture::Picture;
+pub use unpack::{unpack, unpack_pictures};
 
 /// Why packing, unpacking or exporting failed.
 #[derive(Debug, Clone, thiserror::Error)]

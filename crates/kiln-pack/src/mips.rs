@@ -4,11 +4,14 @@
 //!
 //! **Method.**
 //! ```text
-//! decode mip 0 to floats (sRGB -> linear, normals -> [-1, 1], else n / 255)
+//! decode mip 0 to floats (sRGB -> linear, normals -> [-1, 1], else n / 255); deep pictures are floats, colours linear
 //! until 1x1: size = max(1, size / 2) rounded down
 //!     each texel = mean over its footprint in the mip above, which for odd sizes covers parts of texels (exact shares)
 //!     encode; normals are renormalised for the bytes only, the float chain keeps their length
 //! ```
+//! Numbers of things have no mean: they are picked, from the texel at the footprint's middle. Mips of deep pictures are made of the
+//! texels as they are stored, so that a reader makes the same ones.
+//!
 //! Colours under partial alpha are weighted by alpha where alpha means coverage, so that what is hidden does not tint the
 //! visible; alpha itself is a plain mean.
 //!
@@ -21,8 +24,10 @@
 
 use std::borrow::Cow;
 
-use kiln_asset::Raster;
+use kiln_asset::{DeepRaster, Precision, Raster};
 use kiln_geom::colour;
+
+use crate::picture;
 
 /// What the texels mean, hence how they are averaged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -34,8 +39,12 @@ pub enum Meaning {
     },
     /// Four independent linear channels.
     Data,
-    /// Tangent-space normals in RGB.
+    /// Unit vectors in RGB as `(v + 1) / 2`.
     Normal,
+    /// Unit vectors in RGB as they are, which 8 bits cannot hold.
+    Vector,
+    /// Numbers of things.
+    Number,
 }
 
 /// The picture and its mips down to 1x1, each `4 * width * height` bytes, sizes halving and rounding down.
@@ -46,8 +55,8 @@ pub fn chain(raster: &Raster, meaning: Meaning) -> Vec<Cow<'_, [u8]>> {
     while width.max(height) > 1 {
         let (w, h) = ((width / 2).max(1), (height / 2).max(1));
         let smaller = match &floats {
-            None => halve((width, height), (w, h), |i| decode(raster.texels[i], meaning)),
-            Some(floats) => halve((width, height), (w, h), |i| floats[i]),
+            None => halve((width, height), (w, h), meaning, |i| decode(raster.texels[i], meaning)),
+            Some(floats) => halve((width, height), (w, h), meaning, |i| floats[i]),
         };
         mips.push(Cow::Owned(smaller.iter().flat_map(|texel| encode(*texel, meaning)).collect()));
         floats = Some(smaller);
@@ -56,12 +65,73 @@ pub fn chain(raster: &Raster, meaning: Meaning) -> Vec<Cow<'_, [u8]>> {
     mips
 }
 
+/// The picture and its mips down to 1x1 as `precision` stores them ([`kiln_format::TextureFormat::mip_length`] bytes each).
+/// `all` off: the picture alone.
+pub fn deep_chain(deep: &DeepRaster, meaning: Meaning, all: bool) -> Vec<Vec<u8>> {
+    let precision = deep.precision;
+    let mut mips = vec![picture::encode(&deep.texels, precision)];
+    let (mut width, mut height) = (deep.width as usize, deep.height as usize);
+    let mut floats: Option<Vec<[f32; 4]>> = None;
+    while all && width.max(height) > 1 {
+        let (w, h) = ((width / 2).max(1), (height / 2).max(1));
+        let read = |i: usize| decode_deep(picture::rounded(deep.texels[i], precision), meaning);
+        let smaller = match &floats {
+            None => halve((width, height), (w, h), meaning, read),
+            Some(floats) => halve((width, height), (w, h), meaning, |i| floats[i]),
+        };
+        let texels: Vec<[f32; 4]> = smaller.iter().map(|texel| encode_deep(*texel, meaning, precision)).collect();
+        mips.push(picture::encode(&texels, precision));
+        floats = Some(smaller);
+        (width, height) = (w, h);
+    }
+    mips
+}
+
+/// Deep texel to averageable floats. Weighted colours are multiplied by alpha.
+fn decode_deep(texel: [f32; 4], meaning: Meaning) -> [f32; 4] {
+    let [x, y, z, w] = texel;
+    match meaning {
+        Meaning::Data | Meaning::Number | Meaning::Vector => texel,
+        Meaning::Normal => [x * 2.0 - 1.0, y * 2.0 - 1.0, z * 2.0 - 1.0, w],
+        Meaning::Colour { alpha_weighted } => {
+            let weight = if alpha_weighted { w } else { 1.0 };
+            [x * weight, y * weight, z * weight, w]
+        }
+    }
+}
+
+fn encode_deep(texel: [f32; 4], meaning: Meaning, precision: Precision) -> [f32; 4] {
+    let [x, y, z, w] = texel;
+    let out = match meaning {
+        Meaning::Data | Meaning::Number => texel,
+        Meaning::Normal | Meaning::Vector => {
+            let [x, y, z] = unit([x, y, z]);
+            let [a, b] = if meaning == Meaning::Normal { [0.5; 2] } else { [1.0, 0.0] };
+            [x * a + b, y * a + b, z * a + b, w]
+        }
+        Meaning::Colour { alpha_weighted } => {
+            let scale = if alpha_weighted && w > 0.0 { 1.0 / w } else { 1.0 };
+            [x * scale, y * scale, z * scale, w]
+        }
+    };
+    // A tiny alpha may drive a float out of range; the format wants finite ones.
+    if precision == Precision::Float { out.map(|c| c.clamp(f32::MIN, f32::MAX)) } else { out }
+}
+
+/// A vector's direction. Opposite ones cancel: +Z is as good as any.
+fn unit([x, y, z]: [f32; 3]) -> [f32; 3] {
+    let length = (x * x + y * y + z * z).sqrt();
+    if length > 1e-6 { [x / length, y / length, z / length] } else { [0.0, 0.0, 1.0] }
+}
+
 /// Byte texel to averageable floats. Weighted colours are multiplied by alpha.
 fn decode(texel: [u8; 4], meaning: Meaning) -> [f32; 4] {
     let plain = texel.map(|c| c as f32 / 255.0);
     match meaning {
-        Meaning::Data => plain,
-        Meaning::Normal => [plain[0] * 2.0 - 1.0, plain[1] * 2.0 - 1.0, plain[2] * 2.0 - 1.0, plain[3]],
+        Meaning::Data | Meaning::Number => plain,
+        Meaning::Normal | Meaning::Vector => {
+            [plain[0] * 2.0 - 1.0, plain[1] * 2.0 - 1.0, plain[2] * 2.0 - 1.0, plain[3]]
+        }
         Meaning::Colour { alpha_weighted } => {
             let weight = if alpha_weighted { plain[3] } else { 1.0 };
             let light = |c: u8| colour::srgb_to_linear(c) * weight;
@@ -73,12 +143,9 @@ fn decode(texel: [u8; 4], meaning: Meaning) -> [f32; 4] {
 fn encode(texel: [f32; 4], meaning: Meaning) -> [u8; 4] {
     let [x, y, z, w] = texel;
     match meaning {
-        Meaning::Data => texel.map(colour::unorm8),
-        Meaning::Normal => {
-            let length = (x * x + y * y + z * z).sqrt();
-            // Opposite normals cancel: the flat one is as good as any.
-            let unit = if length > 1e-6 { [x / length, y / length, z / length] } else { [0.0, 0.0, 1.0] };
-            let [x, y, z] = unit.map(|c| colour::unorm8(c * 0.5 + 0.5));
+        Meaning::Data | Meaning::Number => texel.map(colour::unorm8),
+        Meaning::Normal | Meaning::Vector => {
+            let [x, y, z] = unit([x, y, z]).map(|c| colour::unorm8(c * 0.5 + 0.5));
             [x, y, z, colour::unorm8(w)]
         }
         Meaning::Colour { alpha_weighted } => {
@@ -103,8 +170,19 @@ fn footprint(from: usize, to: usize, at: usize) -> ([usize; 3], [f32; 3]) {
     (texels, shares)
 }
 
-/// Box-filtered picture of size `to`, from one of size `from` of at most three times that size, texels by `read`.
-fn halve(from: (usize, usize), to: (usize, usize), read: impl Fn(usize) -> [f32; 4]) -> Vec<[f32; 4]> {
+/// Box-filtered picture of size `to`, from one of size `from` of at most three times that size, texels by `read`; numbers are
+/// picked.
+fn halve(
+    from: (usize, usize),
+    to: (usize, usize),
+    meaning: Meaning,
+    read: impl Fn(usize) -> [f32; 4],
+) -> Vec<[f32; 4]> {
+    if meaning == Meaning::Number {
+        let middle = |at: usize, from: usize, to: usize| (2 * at + 1) * from / (2 * to);
+        let place = |i: usize| middle(i / to.0, from.1, to.1) * from.0 + middle(i % to.0, from.0, to.0);
+        return (0..to.0 * to.1).map(|i| read(place(i))).collect();
+    }
     let columns: Vec<_> = (0..to.0).map(|x| footprint(from.0, to.0, x)).collect();
     let mut out = Vec::with_capacity(to.0 * to.1);
     for y in 0..to.1 {
@@ -170,6 +248,43 @@ mod tests {
     fn tilted_normals_average_to_a_unit_normal_between_them() {
         let picture = raster(2, 1, |x, _| if x == 0 { [218, 128, 218, 255] } else { [37, 128, 218, 255] });
         assert_eq!(*chain(&picture, Meaning::Normal)[1], [128, 128, 255, 255]);
+    }
+
+    fn values(bytes: &[u8]) -> Vec<f32> {
+        bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
+    }
+
+    #[test]
+    fn deep_pictures_average_in_their_own_terms() {
+        let of = |a: [f32; 4], b: [f32; 4], meaning| {
+            let deep = DeepRaster { width: 2, height: 1, precision: Precision::Float, texels: vec![a, b] };
+            values(&deep_chain(&deep, meaning, true)[1])
+        };
+        let colour = Meaning::Colour { alpha_weighted: true };
+        assert_eq!(of([8.0, 0.0, 0.0, 1.0], [0.0, 9.0, 0.0, 0.0], colour), [8.0, 0.0, 0.0, 0.5]);
+        assert_eq!(of([-1.0, 2.0, 0.0, 1.0], [3.0, 2.0, 1.0, 0.0], Meaning::Data), [1.0, 2.0, 0.5, 0.5]);
+        assert_eq!(of([1.0, 0.0, 0.0, 1.0], [-1.0, 0.0, 0.0, 1.0], Meaning::Vector)[..3], [0.0, 0.0, 1.0]);
+        let slant = of([1.0, 0.5, 0.5, 1.0], [0.5, 0.5, 1.0, 1.0], Meaning::Normal);
+        assert!((slant[0] - 0.853_553_4).abs() < 1e-6 && (slant[2] - 0.853_553_4).abs() < 1e-6, "{slant:?}");
+        // Submesh 3 beside submesh 8 is never 5.5.
+        assert_eq!(of([3.0, 0.0, 0.0, 1.0], [8.0, 0.0, 0.0, 1.0], Meaning::Number)[0], 8.0);
+    }
+
+    #[test]
+    fn mips_of_what_was_stored_are_the_stored_mips() {
+        let texels: Vec<[f32; 4]> = (0..35).map(|i| [i as f32 * 0.028, 1.0 - i as f32 * 0.02, 0.3, 0.77]).collect();
+        for precision in [Precision::Unorm16, Precision::Half, Precision::Float] {
+            let deep = DeepRaster { width: 7, height: 5, precision, texels: texels.clone() };
+            let mips = deep_chain(&deep, Meaning::Normal, true);
+            let back =
+                picture::decode(picture::format_of(precision), [kiln_format::Channel::Unused; 4], (7, 5), &mips[0]);
+            let picture::Picture::Deep(back) = back else { panic!("not deep") };
+            assert_eq!(deep_chain(&back, Meaning::Normal, true), mips, "{precision:?}");
+            for (k, mip) in mips.iter().enumerate() {
+                let length = picture::format_of(precision).mip_length((7 >> k).max(1), (5 >> k).max(1));
+                assert_eq!(mip.len() as u64, length);
+            }
+        }
     }
 
     #[test]

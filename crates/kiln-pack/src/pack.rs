@@ -5,35 +5,30 @@
 //!
 //! **Method.**
 //! ```text
-//! textures = every (image, how it is averaged) that a material uses, in that order
-//! decode each picture, build its mip chain
+//! textures = every (image, how it is averaged) that a material uses, in that order; then the extra pictures (textures.rs)
+//! decode each picture, build its mip chain, compress its mips if asked to
 //! submeshes, materials and levels -> records; arrays are lent as they lie in the mesh
 //! kiln_format::write places, hashes and checks
 //! ```
-//! An image that is used as colour and as data is stored once for each use, because mips and format differ; one that holds
-//! occlusion, roughness and metalness is stored once. Images that no material uses are left out, and told.
+//! Images that no material uses and that are no extra pictures are left out, and told.
 //!
 //! A level has the arrays its mesh has; which attributes a submesh really had in its source is kept beside its name.
 //! Vertices and triangles stand in the mesh's order.
 //!
-//! **Limits.** Layout `discrete` only. Unquantised vertices, uncompressed RGBA8 texels. The points that join submeshes are not
+//! **Limits.** Layout `discrete` only. Unquantised vertices. The points that join submeshes are not
 //! stored: equal positions tell them.
 
-use std::borrow::Cow;
-use std::collections::BTreeMap;
-use std::sync::Arc;
-
 use bytemuck::cast_slice;
-use kiln_asset::{AlphaMode, AttributeSet, Filter, ImageId, LodSet, MapRole, MaterialSet, Mesh, Raster, Wrap};
+use kiln_asset::{AlphaMode, AttributeSet, Filter, ImageId, LodSet, MapRole, MaterialSet, Mesh, Wrap};
 use kiln_format::{
-    Channel, Content, ErrorKind, LevelContent, MaterialRecord, Provenance, Role, Semantic, SlotRecord, SubmeshContent,
-    TextureContent,
-    record::{MAX_TEXTURE_SIZE, NONE},
+    Content, ErrorKind, LevelContent, MaterialRecord, Provenance, Semantic, SlotRecord, SubmeshContent, TextureContent,
+    record::NONE,
 };
 use serde::{Deserialize, Serialize};
 
 use crate::PackError;
-use crate::mips::{self, Meaning};
+use crate::picture::Picture;
+use crate::textures::{self, Class, Want, class};
 
 /// How levels are laid out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -51,11 +46,25 @@ pub struct PackOptions {
     pub layouts: Vec<Layout>,
     /// Whether textures get mips; off saves a quarter of their bytes and leaves minification to the engine.
     pub mips: bool,
+    /// How texels of materials' 8-bit textures are stored.
+    pub textures: Coding,
+}
+
+/// How texels are stored.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Coding {
+    /// As they are: 4 bytes a texel.
+    #[default]
+    Raw,
+    /// In blocks that GPUs read, 1 byte a texel: BC5 for tangent-space normals (z is the reader's to make), else BC7. Pictures of
+    /// more than 8 bits and extras stay as they are; a normal map with normals that look inwards is BC7.
+    Bc,
 }
 
 impl Default for PackOptions {
     fn default() -> Self {
-        PackOptions { layouts: vec![Layout::Discrete], mips: true }
+        PackOptions { layouts: vec![Layout::Discrete], mips: true, textures: Coding::Raw }
     }
 }
 
@@ -88,7 +97,7 @@ pub struct PackReport {
 }
 
 /// Gives the decoded picture of an image, or says why it cannot.
-pub type Images<'a> = dyn Fn(ImageId) -> Result<Arc<Raster>, String> + 'a;
+pub type Images<'a> = dyn Fn(ImageId) -> Result<Picture, String> + 'a;
 
 /// The bytes of a container with all levels, materials and the textures they use.
 ///
@@ -106,13 +115,15 @@ pub fn pack(
         return Err(PackError::Unsupported("layouts other than [\"discrete\"]".into()));
     }
     let mut report = PackReport::default();
-    let wanted = wanted_textures(materials)?;
-    let rasters = wanted.iter().map(|want| picture(want, materials, images)).collect::<Result<Vec<_>, _>>()?;
+    let wanted = textures::wanted(materials)?;
+    let pictures =
+        wanted.iter().map(|want| textures::picture(want, materials, images)).collect::<Result<Vec<_>, _>>()?;
+    let stored = wanted.iter().zip(&pictures);
     let textures: Vec<TextureContent<'_>> =
-        wanted.iter().zip(&rasters).map(|(want, raster)| texture(want, raster, materials, options)).collect();
+        stored.map(|(want, picture)| textures::content(want, picture, materials, options, &mut report)).collect();
     let content = Content {
         source_triangles: levels.source_triangles,
-        layout: levels.layout.map(|layout| [layout.size, layout.padding, layout.chart_count]),
+        layout: levels.layout.map(|layout| [layout.size, layout.padding, layout.chart_count, layout.sheets]),
         levels: levels.levels.iter().map(|level| level_content(&level.mesh, level.error)).collect(),
         submeshes: submeshes(levels, materials)?,
         materials: material_records(materials, &wanted),
@@ -144,109 +155,6 @@ pub fn pack(
         report.notes.push("atlas UVs were left out: nothing was baked into them".into());
     }
     Ok((bytes, report))
-}
-
-/// How an image is averaged and encoded: the reason for which it may be stored more than once.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Class {
-    Colour,
-    Data,
-    Normal,
-}
-
-/// A texture to be stored.
-struct Want {
-    image: ImageId,
-    class: Class,
-    channels: [Channel; 4],
-    alpha_weighted: bool,
-}
-
-fn class(role: MapRole) -> Class {
-    match role {
-        MapRole::BaseColor | MapRole::Emissive => Class::Colour,
-        MapRole::MetallicRoughness | MapRole::Occlusion => Class::Data,
-        MapRole::Normal => Class::Normal,
-    }
-}
-
-/// The container's word for a role.
-fn format_role(role: MapRole) -> Role {
-    match role {
-        MapRole::BaseColor => Role::BaseColor,
-        MapRole::MetallicRoughness => Role::MetallicRoughness,
-        MapRole::Normal => Role::Normal,
-        MapRole::Occlusion => Role::Occlusion,
-        MapRole::Emissive => Role::Emissive,
-    }
-}
-
-fn wanted_textures(materials: &MaterialSet) -> Result<Vec<Want>, PackError> {
-    let mut wanted: BTreeMap<(ImageId, Class), Want> = BTreeMap::new();
-    for (m, material) in materials.materials.iter().enumerate() {
-        for role in MapRole::ALL {
-            let Some(used) = material.map(role) else { continue };
-            let path = format!("materials[{m}].{}", role.name());
-            let texture = materials.textures.get(used.texture.index()).ok_or_else(|| PackError::Reference {
-                path: path.clone(),
-                expected: materials.textures.len(),
-                found: used.texture.0,
-            })?;
-            if texture.image.index() >= materials.images.len() {
-                let (expected, found) = (materials.images.len(), texture.image.0);
-                return Err(PackError::Reference { path: format!("{path}.image"), expected, found });
-            }
-            if used.uv_set > 1 {
-                return Err(PackError::Reference { path: format!("{path}.uv_set"), expected: 2, found: used.uv_set });
-            }
-            let image = texture.image;
-            let want = wanted.entry((image, class(role))).or_insert(Want {
-                image,
-                class: class(role),
-                channels: [Channel::Unused; 4],
-                alpha_weighted: false,
-            });
-            want.alpha_weighted |= role == MapRole::BaseColor && material.alpha_mode != AlphaMode::Opaque;
-            for (have, new) in want.channels.iter_mut().zip(format_role(role).channels()) {
-                if *have == Channel::Unused {
-                    *have = new;
-                }
-            }
-        }
-    }
-    Ok(wanted.into_values().collect())
-}
-
-fn picture(want: &Want, materials: &MaterialSet, images: &Images<'_>) -> Result<Arc<Raster>, PackError> {
-    let name = &materials.images[want.image.index()].name;
-    let fail = |message| PackError::Image { image: want.image.0, name: name.clone(), message };
-    let raster = images(want.image).map_err(fail)?;
-    let size_ok = |size: u32| (1..=MAX_TEXTURE_SIZE).contains(&size);
-    let texels = raster.width as u64 * raster.height as u64;
-    if !size_ok(raster.width) || !size_ok(raster.height) || texels != raster.texels.len() as u64 {
-        let (w, h, found) = (raster.width, raster.height, raster.texels.len());
-        return Err(fail(format!(
-            "expected 1 to {MAX_TEXTURE_SIZE} texels a side, found {w} x {h} with {found} texels"
-        )));
-    }
-    Ok(raster)
-}
-
-fn texture<'r>(want: &Want, raster: &'r Raster, materials: &MaterialSet, options: &PackOptions) -> TextureContent<'r> {
-    let meaning = match want.class {
-        Class::Colour => Meaning::Colour { alpha_weighted: want.alpha_weighted },
-        Class::Data => Meaning::Data,
-        Class::Normal => Meaning::Normal,
-    };
-    let format = match want.class {
-        Class::Colour => kiln_format::TextureFormat::Rgba8Srgb,
-        _ => kiln_format::TextureFormat::Rgba8Unorm,
-    };
-    let mips =
-        if options.mips { mips::chain(raster, meaning) } else { vec![Cow::Borrowed(cast_slice(&raster.texels))] };
-    let name = materials.images[want.image.index()].name.clone();
-    let (width, height) = (raster.width, raster.height);
-    TextureContent { name, format, channels: want.channels, width, height, mips }
 }
 
 /// The arrays of a mesh as the format names them, positions first.
@@ -336,7 +244,9 @@ pub(crate) fn attribute_set(bits: u32) -> AttributeSet {
 
 fn material_records(materials: &MaterialSet, wanted: &[Want]) -> Vec<(String, MaterialRecord)> {
     let texture_of = |image: ImageId, class: Class| {
-        let number = wanted.binary_search_by_key(&(image, class), |want| (want.image, want.class));
+        // Extras stand behind all textures of materials.
+        let of_materials = &wanted[..wanted.partition_point(|want| want.extra.is_none())];
+        let number = of_materials.binary_search_by_key(&(image, class), |want| (want.image, want.class));
         number.map_or(NONE, |number| number as u32)
     };
     let mut out = Vec::new();

@@ -1,7 +1,5 @@
 //! Round trips, determinism, and exports as another reader sees them.
 
-use std::sync::Arc;
-
 use glam::{Vec2, Vec3, Vec4};
 use kiln_asset::{
     AlphaMode, AttributeSet, ImageFormat, ImageId, ImageInfo, Level, LodSet, MapRole, Material, MaterialId,
@@ -10,6 +8,9 @@ use kiln_asset::{
 use kiln_format::{Container, Provenance, check};
 
 use super::*;
+
+mod files;
+mod textures;
 
 /// A bumpy grid of `n x n` quads in two submeshes, with every attribute.
 fn grid(n: u32) -> Mesh {
@@ -113,13 +114,14 @@ fn materials() -> (MaterialSet, Vec<Raster>) {
         materials: vec![first, second],
         textures,
         images: vec![info("shared"), info("bumps"), info("unused")],
+        extras: Vec::new(),
     };
     (set, vec![picture(0, 300, 200), picture(9, 17, 5), picture(1, 1, 1)])
 }
 
 fn packed(levels: &LodSet) -> (Vec<u8>, PackReport) {
     let (set, rasters) = materials();
-    let images = |image: ImageId| Ok(Arc::new(rasters[image.index()].clone()));
+    let images = |image: ImageId| Ok(Picture::from(rasters[image.index()].clone()));
     let provenance = Provenance { tool: "kiln test".into(), ..Provenance::default() };
     pack(levels, &set, &images, &provenance, &PackOptions::default()).expect("packs")
 }
@@ -139,7 +141,7 @@ fn geometry_comes_back_bit_for_bit() {
 fn packing_what_was_unpacked_gives_the_same_bytes() {
     let (bytes, _) = packed(&levels());
     let (levels, set, rasters) = unpack(&bytes).expect("sound");
-    let images = |image: ImageId| Ok(Arc::new(rasters[image.index()].clone()));
+    let images = |image: ImageId| Ok(Picture::from(rasters[image.index()].clone()));
     let provenance = Provenance { tool: "kiln test".into(), ..Provenance::default() };
     let (again, _) = pack(&levels, &set, &images, &provenance, &PackOptions::default()).expect("packs");
     assert!(bytes == again, "{} and {} bytes differ", bytes.len(), again.len());
@@ -206,7 +208,7 @@ fn the_coarsest_level_needs_the_least_of_the_file() {
 #[test]
 fn what_cannot_be_packed_is_refused_with_its_place() {
     let (set, rasters) = materials();
-    let images = |image: ImageId| Ok(Arc::new(rasters[image.index()].clone()));
+    let images = |image: ImageId| Ok(Picture::from(rasters[image.index()].clone()));
     let refused = |levels: &LodSet, set: &MaterialSet| {
         let done = pack(levels, set, &images, &Provenance::default(), &PackOptions::default());
         done.expect_err("invalid").to_string()

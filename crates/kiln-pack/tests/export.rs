@@ -5,7 +5,6 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::Arc;
 
 use glam::{Vec3, Vec4};
 use kiln_asset::import::{Files, ImportLimits, decode_image, import};
@@ -60,7 +59,7 @@ fn container(asset: &Asset) -> (Vec<u8>, LodSet) {
     let images = |image: ImageId| {
         let info = &asset.materials.images[image.index()];
         let decoded = decode_image(info.format, &asset.images[image.index()], &Default::default());
-        decoded.map(Arc::new).map_err(|e| e.to_string())
+        decoded.map(Into::into).map_err(|e| e.to_string())
     };
     let packed = pack(&set, &asset.materials, &images, &Provenance::default(), &PackOptions::default());
     (packed.expect("packs").0, set)
@@ -143,6 +142,7 @@ fn an_export_of_spoilt_values_passes_the_validator() {
         materials: vec![material],
         textures: vec![texture(0, None), texture(1, Some(Filter::Nearest))],
         images: vec![info("grey"), info("")],
+        extras: Vec::new(),
     };
     let pictures = [Raster::filled(1, 1, [9; 4]), Raster::filled(3, 5, [128, 128, 255, 255])];
     let pictures: Vec<&Raster> = pictures.iter().collect();

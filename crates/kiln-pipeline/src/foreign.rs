@@ -8,11 +8,15 @@ macro_rules! version {
 
 /// KTX2 of Basis Universal.
 pub(crate) const BASISU: &str = version!("basisu", "BASISU");
+/// BC7.
+pub(crate) const BC7F: &str = version!("ctt-bc7f", "CTT_BC7F");
 /// Draco.
 pub(crate) const DRACO: &str = version!("draco-core", "DRACO_CORE");
+/// OpenEXR.
+pub(crate) const EXR: &str = version!("exr", "EXR");
 /// Vectors.
 pub(crate) const GLAM: &str = version!("glam", "GLAM");
-/// PNG, JPEG and WebP.
+/// PNG, JPEG, WebP, TIFF and TGA.
 pub(crate) const IMAGE: &str = version!("image", "IMAGE");
 /// Transcendental functions.
 pub(crate) const LIBM: &str = version!("libm", "LIBM");
@@ -31,13 +35,18 @@ pub(crate) const XATLAS: &str = version!("xatlas-rs-v2", "XATLAS_RS_V2");
 /// The GPU.
 pub(crate) const WGPU: &str = version!("wgpu", "WGPU");
 
+/// The system's picture library, where this build has it.
+pub(crate) fn oiio() -> Option<String> {
+    kiln_oiio::version().map(|version| format!("openimageio@{version}"))
+}
+
 /// Where the results of stages written in Rust alone are bit-identical: IEEE 754 arithmetic without contraction, scalar
 /// vectors, `libm`'s functions, little-endian; checked on x86-64, expected on every 64-bit little-endian target.
 pub(crate) const NUMERIC_CLASS: &str = "rust-ieee754-le";
 
 /// The classes and crates that a container's provenance names.
-pub(crate) fn all() -> [&'static str; 12] {
-    [BASISU, MIKKTSPACE, DRACO, GLAM, IMAGE, LIBM, MESHOPT, OBVHS, SERDE_JSON, UVUNWRAP, WGPU, XATLAS]
+pub(crate) fn all() -> [&'static str; 14] {
+    [BASISU, MIKKTSPACE, BC7F, DRACO, EXR, GLAM, IMAGE, LIBM, MESHOPT, OBVHS, SERDE_JSON, UVUNWRAP, WGPU, XATLAS]
 }
 
 /// Where the results of C++ are bit-identical: its compiler may use the target's maths and instructions.

@@ -23,8 +23,8 @@ mod material;
 mod view;
 
 pub use kiln_format::{
-    AlignedBytes, Channel, DrawRange, FormatError, Indices, LevelView, Provenance, Role, Semantic, TextureFormat,
-    VertexFormat,
+    AlignedBytes, Channel, DrawRange, Extra, FormatError, Indices, LevelView, Provenance, Role, Semantic,
+    TextureFormat, VertexFormat,
 };
 pub use material::{AlphaMode, Material, Mip, Sampler, Texture, TextureUse, Wrap};
 pub use view::View;

@@ -1,6 +1,6 @@
 //! Materials and textures as an engine wants them: enums instead of numbers.
 
-use kiln_format::{Channel, MaterialRecord, Role, SlotRecord, TextureFormat, TextureRecord, record::NONE};
+use kiln_format::{Channel, Extra, MaterialRecord, Role, SlotRecord, TextureFormat, TextureRecord, record::NONE};
 
 /// How coverage is taken from base colour's alpha.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -135,8 +135,10 @@ pub struct Texture<'a> {
     pub name: &'a str,
     /// Format of a texel.
     pub format: TextureFormat,
-    /// What R, G, B, A mean.
+    /// What R, G, B, A mean. Where normal x and y mean something and normal z does not (BC5), `z = sqrt(max(0, 1 - x x - y y))`.
     pub channels: [Channel; 4],
+    /// For a picture that no material uses: what it holds, and its sheet.
+    pub extra: Option<(Extra, u32)>,
     /// Texels across.
     pub width: u32,
     /// Texels down.
@@ -155,6 +157,7 @@ impl<'a> Texture<'a> {
             name,
             format: TextureFormat::from_number(record.format)?,
             channels,
+            extra: Extra::from_roles(record.roles).map(|extra| (extra, record.sheet)),
             width: record.width,
             height: record.height,
             mip_count: record.mip_count,
@@ -169,6 +172,6 @@ pub struct Mip<'a> {
     pub width: u32,
     /// Texels down.
     pub height: u32,
-    /// `[height * width] x 4` bytes, top row first, rows without gap.
+    /// Texels or blocks as the texture's format lays them ([`TextureFormat::mip_length`] bytes), top row first, rows without gap.
     pub texels: &'a [u8],
 }

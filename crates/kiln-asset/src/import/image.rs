@@ -5,8 +5,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use basisu::{DecodeFlags, TargetFormat, Transcoder};
 
-use super::ImageLimits;
 use super::error::ImportError;
+use super::{ImageLimits, exr, has_extension, tiff};
 use crate::material::ImageFormat;
 use crate::raster::{DeepRaster, Raster};
 
@@ -26,9 +26,20 @@ pub fn image_format(bytes: &[u8]) -> Option<ImageFormat> {
         Some(ImageFormat::Webp)
     } else if bytes.starts_with(KTX2_MAGIC) {
         Some(ImageFormat::Ktx2)
+    } else if bytes.starts_with(exr::MAGIC) {
+        Some(ImageFormat::Exr)
+    } else if tiff::MAGICS.iter().any(|magic| bytes.starts_with(magic)) {
+        Some(ImageFormat::Tiff)
     } else {
         None
     }
+}
+
+/// The format that the first bytes tell, or for TGA, which has no mark, the file's name; last what OpenImageIO reads, where the
+/// build has it.
+pub fn image_format_of_file(name: &str, bytes: &[u8]) -> Option<ImageFormat> {
+    let tga = || has_extension(name, "tga").then_some(ImageFormat::Tga);
+    image_format(bytes).or_else(tga).or_else(|| kiln_oiio::size(bytes).is_ok().then_some(ImageFormat::System))
 }
 
 /// Width and height in texels, read from the header alone; `None` if there is no such header.
@@ -40,6 +51,10 @@ pub fn image_size(format: ImageFormat, bytes: &[u8]) -> Option<(u32, u32)> {
         ImageFormat::Deep => DeepRaster::from_blob(bytes).ok().map(|deep| (deep.width, deep.height)),
         ImageFormat::Webp => webp_size(bytes),
         ImageFormat::Ktx2 => ktx2_size(bytes),
+        ImageFormat::Tiff => tiff::size(bytes),
+        ImageFormat::Tga => tga_size(bytes),
+        ImageFormat::Exr | ImageFormat::ExrLinear => exr::size(bytes),
+        ImageFormat::System => kiln_oiio::size(bytes).ok().map(|size| (size.width, size.height)),
     }
 }
 
@@ -113,6 +128,14 @@ fn ktx2_size(bytes: &[u8]) -> Option<(u32, u32)> {
     (bytes.starts_with(KTX2_MAGIC) && depth == 0 && layers <= 1 && faces == 1).then_some((word(20)?, word(24)?))
 }
 
+/// TGA: a fixed header without a mark, so every field with few values is looked at.
+fn tga_size(bytes: &[u8]) -> Option<(u32, u32)> {
+    let word = |at| Some(u32::from(u16::from_le_bytes(array(bytes, at)?)));
+    let (map, kind, depth) = (*bytes.get(1)?, *bytes.get(2)?, *bytes.get(16)?);
+    let known = map <= 1 && matches!(kind, 1..=3 | 9..=11) && matches!(depth, 8 | 15 | 16 | 24 | 32);
+    known.then_some((word(12)?, word(14)?))
+}
+
 /// Raster blob: tag, version, array of two sizes.
 fn raster_size(bytes: &[u8]) -> Option<(u32, u32)> {
     if !bytes.starts_with(b"RAST") {
@@ -147,7 +170,8 @@ pub(super) fn check_size(
 }
 
 /// The picture in `bytes` as RGBA8 texels: grey is spread over RGB, palettes are looked up, 16 bits are rounded to 8, alpha is
-/// 255 where there is none. No colour space is changed, no orientation tag followed, as glTF asks.
+/// 255 where there is none. No colour space is changed, no orientation tag followed, as glTF asks; but for EXR as colour, whose light
+/// is encoded as sRGB.
 ///
 /// # Errors
 /// *Invalid* where the header is broken or past the limits (checked before anything is decoded), or the data is broken.
@@ -161,6 +185,11 @@ pub fn decode_image(format: ImageFormat, bytes: &[u8], limits: &ImageLimits) -> 
         ImageFormat::Raster => return Raster::from_blob(bytes).map_err(|e| invalid(e.to_string())),
         ImageFormat::Deep => return Err(invalid("a deep picture does not fit 8 bits".into())),
         ImageFormat::Ktx2 => return transcode(bytes, width, height).map_err(invalid),
+        ImageFormat::Tiff => image::ImageFormat::Tiff,
+        ImageFormat::Tga => image::ImageFormat::Tga,
+        ImageFormat::Exr => return guarded(|| exr::decode(bytes, true, limits)).map_err(invalid),
+        ImageFormat::ExrLinear => return guarded(|| exr::decode(bytes, false, limits)).map_err(invalid),
+        ImageFormat::System => return by_system(bytes, limits).map_err(invalid),
     };
     let mut reader = image::ImageReader::with_format(Cursor::new(bytes), codec);
     let mut allowed = image::Limits::default();
@@ -169,25 +198,44 @@ pub fn decode_image(format: ImageFormat, bytes: &[u8], limits: &ImageLimits) -> 
     // 16 bits x 4 channels is the widest decoded texel; a decoder keeps about one more copy.
     allowed.max_alloc = Some((width as u64 * height as u64).saturating_mul(16).saturating_add(1 << 20));
     reader.limits(allowed);
-    let picture = reader.decode().map_err(|e| invalid(format!("cannot be decoded: {e}")))?.into_rgba8();
+    let decoded = guarded(|| reader.decode().map_err(|e| format!("cannot be decoded: {e}"))).map_err(invalid)?;
+    let picture = decoded.into_rgba8();
     if picture.dimensions() != (width, height) {
         return Err(invalid(format!("header says {width} x {height}, the data {:?}", picture.dimensions())));
     }
     Ok(Raster { width, height, texels: bytemuck::pod_collect_to_vec(picture.as_raw()) })
 }
 
+/// What a foreign decoder gives; should it panic, that is this picture's end and not the build's.
+fn guarded<T>(decode: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
+    catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| Err("cannot be decoded: the decoder failed".into()))
+}
+
+/// A picture that OpenImageIO reads, values as they are: of one or two channels grey (and alpha), else the first four.
+fn by_system(bytes: &[u8], limits: &ImageLimits) -> Result<Raster, String> {
+    let size = kiln_oiio::size(bytes).map_err(|e| e.to_string())?;
+    if size.values() > limits.max_texels.saturating_mul(4) {
+        return Err(format!("{} channels of {} x {} texels, past the limit", size.channels, size.width, size.height));
+    }
+    let values = kiln_oiio::read(bytes, size).map_err(|e| e.to_string())?;
+    let byte = |value: f32| (value * 255.0 + 0.5) as u8;
+    let texel = |t: &[f32]| match *t {
+        [y] => [byte(y), byte(y), byte(y), 255],
+        [y, a] => [byte(y), byte(y), byte(y), byte(a)],
+        [r, g, b] => [byte(r), byte(g), byte(b), 255],
+        [r, g, b, a, ..] => [byte(r), byte(g), byte(b), byte(a)],
+        [] => [0; 4],
+    };
+    let texels = values.chunks_exact(size.channels.max(1) as usize).map(texel).collect();
+    Ok(Raster { width: size.width, height: size.height, texels })
+}
+
 /// The finest level of a KTX2 file with Basis Universal texels.
 fn transcode(bytes: &[u8], width: u32, height: u32) -> Result<Raster, String> {
-    // The transcoder has not been seen to panic; should it, that is this picture's end and not the build's.
-    let outcome = catch_unwind(AssertUnwindSafe(|| {
-        let texture = Transcoder::new(bytes)?;
-        texture.transcode(0, TargetFormat::Rgba32, DecodeFlags::NONE)
-    }));
-    let texels = match outcome {
-        Ok(Ok(texels)) => texels,
-        Ok(Err(error)) => return Err(format!("cannot be transcoded: {error:?}")),
-        Err(_) => return Err("cannot be transcoded: the transcoder failed".into()),
-    };
+    let texels = guarded(|| {
+        let whole = Transcoder::new(bytes).and_then(|t| t.transcode(0, TargetFormat::Rgba32, DecodeFlags::NONE));
+        whole.map_err(|error| format!("cannot be transcoded: {error:?}"))
+    })?;
     if texels.len() as u64 != 4 * width as u64 * height as u64 {
         return Err(format!("header says {width} x {height}, but there are {} bytes of texels", texels.len()));
     }

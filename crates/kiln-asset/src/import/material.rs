@@ -7,7 +7,7 @@ use glam::Vec2;
 
 use super::accessor::View;
 use super::error::{Defects, ImportError};
-use super::image::{check_size, image_format};
+use super::image::{check_size, image_format_of_file};
 use super::json::Object;
 use super::report::{ImageSummary, Notes, RepairKind};
 use super::source::{Bytes, Failure, Sources};
@@ -415,7 +415,7 @@ impl Textures<'_, '_, '_> {
         if let Some(known) = self.origins.get(&origin) {
             return Some(*known);
         }
-        let format = self.format(&image, &bytes, defects, notes)?;
+        let format = self.format(&image, file.as_deref().unwrap_or(""), &bytes, defects, notes)?;
         let (width, height) = match check_size(&image.path, format, &bytes, self.limits) {
             Ok(size) => size,
             Err(ImportError::Invalid(list) | ImportError::Unsupported(list) | ImportError::Io(list)) => {
@@ -440,6 +440,7 @@ impl Textures<'_, '_, '_> {
     fn format(
         &self,
         image: &Object<'_>,
+        file: &str,
         bytes: &[u8],
         defects: &mut Defects,
         notes: &mut Notes,
@@ -450,12 +451,16 @@ impl Textures<'_, '_, '_> {
             Some("image/jpeg" | "image/jpg") => Some(ImageFormat::Jpeg),
             Some("image/webp") => Some(ImageFormat::Webp),
             Some("image/ktx2") => Some(ImageFormat::Ktx2),
+            Some("image/tiff") => Some(ImageFormat::Tiff),
+            Some("image/x-exr" | "image/exr") => Some(ImageFormat::Exr),
+            Some("image/x-tga" | "image/x-targa" | "image/tga") => Some(ImageFormat::Tga),
             Some(other) => {
                 defects.unsupported(image.path_of("mimeType"), format!("`{other}`; {FORMATS} are read"));
                 return None;
             }
         };
-        match image_format(bytes) {
+        let tga = claimed.filter(|claimed| *claimed == ImageFormat::Tga);
+        match image_format_of_file(file, bytes).or(tga) {
             Some(found) if found != ImageFormat::Raster => {
                 let wrong = claimed.is_some_and(|claimed| claimed != found);
                 notes.repair(RepairKind::MimeTypeWrong, wrong as u64, || image.path_of("mimeType"));
@@ -475,7 +480,7 @@ impl Textures<'_, '_, '_> {
 }
 
 /// The formats of images, to be read by people.
-pub(super) const FORMATS: &str = "PNG, JPEG, WebP and KTX2 of Basis Universal";
+pub(super) const FORMATS: &str = "PNG, JPEG, WebP, TIFF, TGA, EXR and KTX2 of Basis Universal";
 
 /// A transform of UVs; `None` for the identity.
 fn read_uv_transform(object: &Object<'_>, defects: &mut Defects) -> Option<UvTransform> {

@@ -30,7 +30,7 @@
 //! **Limits.** Not carried, and listed in the report: skins (the bind pose is kept), animations, morph targets, cameras, lights,
 //! UV sets that no texture reads, further colour sets, material extensions but for emissive strength and the colour and gloss
 //! factors of specular-glossiness. Refused by name: other required extensions, points and lines, images other
-//! than PNG, JPEG, WebP and KTX2 of Basis Universal.
+//! than PNG, JPEG, WebP, TIFF, TGA, EXR and KTX2 of Basis Universal. Pictures come in 8 bits a channel.
 //!
 //! **Source.** glTF 2.0 Specification, The Khronos Group, version 2.0.1, 2021 (ISO/IEC 12113:2022).
 
@@ -38,6 +38,7 @@ mod accessor;
 mod container;
 mod draco;
 mod error;
+mod exr;
 mod flatten;
 mod image;
 mod json;
@@ -53,6 +54,7 @@ mod scene;
 mod soup;
 mod source;
 mod text;
+mod tiff;
 mod uri;
 
 #[cfg(test)]
@@ -63,7 +65,7 @@ use std::io;
 use std::path::PathBuf;
 
 pub use self::error::{Defect, ImportError};
-pub use self::image::{decode_image, image_format, image_size};
+pub use self::image::{decode_image, image_format, image_format_of_file, image_size};
 pub use self::report::{ImageSummary, ImportReport, ModelFormat, NotCarried, Repair, RepairKind};
 
 use self::accessor::MostElements;
@@ -178,6 +180,12 @@ fn has_extension(path: &str, extension: &str) -> bool {
 /// # Errors
 /// All defects of the gravest family found: see [`ImportError`].
 pub fn import(files: &dyn Files, main: &str, limits: &ImportLimits) -> Result<(Asset, ImportReport), ImportError> {
+    let (mut asset, report) = import_model(files, main, limits)?;
+    exr::settle_uses(&mut asset);
+    Ok((asset, report))
+}
+
+fn import_model(files: &dyn Files, main: &str, limits: &ImportLimits) -> Result<(Asset, ImportReport), ImportError> {
     if !is_supported_path(main) {
         return Err(ImportError::unsupported(main, "only .glb, .gltf, .obj and .ply models are read"));
     }

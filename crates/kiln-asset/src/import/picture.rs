@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::error::{Defects, ImportError};
-use super::image::{check_size, image_format};
+use super::image::{check_size, image_format_of_file};
 use super::material::{FORMATS, stem};
 use super::report::{ImageSummary, Notes, RepairKind};
 use super::source::{Failure, Sources};
@@ -83,7 +83,7 @@ impl<'a, 'f> Pictures<'a, 'f> {
                 return None;
             }
         };
-        let Some(format) = image_format(&bytes).filter(|format| *format != ImageFormat::Raster) else {
+        let Some(format) = image_format_of_file(file, &bytes).filter(|format| *format != ImageFormat::Raster) else {
             defects.unsupported(path, format!("the bytes of `{file}` are none of {FORMATS}, which alone are read"));
             return None;
         };

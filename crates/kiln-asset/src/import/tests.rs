@@ -4,6 +4,7 @@ mod corpus;
 mod extensions;
 mod hostile;
 mod obj;
+mod pictures;
 mod ply;
 
 use std::collections::BTreeMap;

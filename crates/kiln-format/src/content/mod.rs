@@ -6,7 +6,7 @@ use bytemuck::Pod;
 
 use crate::envelope::{Envelope, State, first_nonzero};
 use crate::error::{CheckReport, Code, FormatError};
-use crate::kind::{Channel, ErrorKind, Kind, PAYLOAD_ALIGNMENT, Role, TextureFormat, unknown};
+use crate::kind::{Channel, ErrorKind, Extra, Kind, PAYLOAD_ALIGNMENT, Role, TextureFormat, WIDE_TEXTURES, unknown};
 use crate::provenance::{self, Provenance};
 use crate::record::*;
 
@@ -109,9 +109,15 @@ pub(crate) fn read<'a>(envelope: &mut Envelope<'a>, whole: bool, report: &mut Ch
     }
     let check = Check { envelope, tables: &tables, strict: envelope.strict() };
     let mut damaged = Vec::new();
-    for texture in tables.textures {
+    for (number, texture) in tables.textures.iter().enumerate() {
         if let Some(finding) = check.tail_padding(texture) {
             damaged.push(texture.tail_section as usize);
+            if whole {
+                report.push(finding);
+            }
+        }
+        if let Some((section, finding)) = check.texels_not_finite(number, texture) {
+            damaged.push(section as usize);
             if whole {
                 report.push(finding);
             }
@@ -333,7 +339,15 @@ impl Check<'_, '_> {
             }
             first_array += level.array_count as u64;
             first_need += level.need_count as u64;
-            self.reserved(|| format!("levels[{lod}]"), level.reserved == [0; 7], report);
+            if level.layout_sheets != t.levels[0].layout_sheets
+                || level.layout_sheets == 1
+                || (level.layout_sheets != 0 && h.has_layout == 0)
+            {
+                let expected = "0 or, with a layout, the same number above 1 at every level";
+                report.push(FormatError::new(Code::Value, at("layout_sheets"), expected, level.layout_sheets));
+            }
+            let sheets_ok = level.layout_sheets == 0 || self.envelope.minor > 0;
+            self.reserved(|| format!("levels[{lod}]"), sheets_ok && level.reserved == [0; 6], report);
         }
         if first_array != t.arrays.len() as u64 || first_need != t.needs.len() as u64 {
             let expected = format!("{first_array} arrays and {first_need} needs in all");
@@ -401,9 +415,16 @@ impl Check<'_, '_> {
             }
         }
         for (number, (texture, used)) in t.textures.iter().zip(&roles).enumerate() {
-            if texture.roles != *used {
+            let extra = Extra::from_roles(texture.roles).filter(|_| *used == 0 && self.wide_textures());
+            if texture.roles != *used && extra.is_none() {
                 let at = format!("textures[{number}].roles");
                 report.push(FormatError::new(Code::Role, at, format!("{used:#x}"), format!("{:#x}", texture.roles)));
+            }
+            let format = TextureFormat::from_number(texture.format);
+            if extra.is_some() && format.is_some_and(|format| !Extra::FORMATS.contains(&format)) {
+                let found = format.map_or("another", TextureFormat::name);
+                let at = format!("textures[{number}].format");
+                report.push(FormatError::new(Code::Role, at, "a texture in linear texels, not in blocks", found));
             }
         }
     }
@@ -429,23 +450,33 @@ impl Check<'_, '_> {
             return;
         };
         roles[slot.texture as usize] |= 1 << role.number();
-        if texture.format != role.format().number() {
-            let found = TextureFormat::from_number(texture.format).map_or("another", TextureFormat::name);
-            report.push(FormatError::new(Code::Role, at, format!("a texture in {}", role.format().name()), found));
+        let format = TextureFormat::from_number(texture.format);
+        if !format.is_some_and(|format| role.formats().contains(&format)) {
+            let names: Vec<&str> = role.formats().iter().map(|format| format.name()).collect();
+            let found = format.map_or("another", TextureFormat::name);
+            report.push(FormatError::new(Code::Role, at, format!("a texture in {}", names.join(" or ")), found));
         }
+    }
+
+    /// Whether the texture table is of the version with deep and compressed formats and extras.
+    fn wide_textures(&self) -> bool {
+        self.envelope.entries.iter().any(|e| e.kind == Kind::TEXTURES.0 && e.version >= WIDE_TEXTURES)
     }
 
     fn textures(&self, report: &mut CheckReport) {
         let t = self.tables;
+        let wide = self.wide_textures();
         let mut first_mip = 0u64;
         for (number, texture) in t.textures.iter().enumerate() {
             let at = |field: &str| format!("textures[{number}].{field}");
             self.string(at("name"), texture.name, report);
-            if TextureFormat::from_number(texture.format).is_none() {
+            let Some(format) = TextureFormat::from_number(texture.format).filter(|f| wide || f.is_first()) else {
                 report.push(unknown(at("format"), "texture format", texture.format));
-            }
+                first_mip += texture.mip_count as u64;
+                continue;
+            };
             for channel in texture.channels {
-                if Channel::from_number(channel as u32).is_none() {
+                if Channel::from_number(channel as u32).is_none_or(|c| !wide && c > Channel::Occlusion) {
                     report.push(unknown(at("channels"), "channel", channel as u32));
                 }
             }
@@ -465,20 +496,21 @@ impl Check<'_, '_> {
             }
             first_mip += texture.mip_count as u64;
             self.section(at("tail_section"), texture.tail_section, Kind::MIP_TAIL, report);
-            self.reserved(|| format!("textures[{number}]"), texture.reserved == [0; 6], report);
-            self.mips(number, texture, report);
+            let sheet_ok = texture.sheet == 0 || (wide && Extra::from_roles(texture.roles).is_some());
+            self.reserved(|| format!("textures[{number}]"), sheet_ok && texture.reserved == [0; 5], report);
+            self.mips(number, texture, format, report);
         }
         if first_mip != t.mips.len() as u64 && sum(t.textures.iter().map(|x| x.mip_count)) != t.mips.len() as u64 {
             report.push(FormatError::new(Code::Mips, "TEXT", format!("{first_mip} mips in all"), t.mips.len()));
         }
     }
 
-    fn mips(&self, number: usize, texture: &TextureRecord, report: &mut CheckReport) {
+    fn mips(&self, number: usize, texture: &TextureRecord, format: TextureFormat, report: &mut CheckReport) {
         let mut tail_end = 0u64;
         for (k, mip) in self.tables.texture_mips(texture).iter().enumerate() {
             let at = format!("textures[{number}].mips[{k}]");
             let size = ((texture.width >> k).max(1), (texture.height >> k).max(1));
-            let length = size.0 as u64 * size.1 as u64 * 4;
+            let length = format.mip_length(size.0, size.1);
             let in_tail = k as u32 >= texture.tail_first;
             let kind = if in_tail { Kind::MIP_TAIL } else { Kind::MIP };
             self.section(format!("{at}.section"), mip.section, kind, report);

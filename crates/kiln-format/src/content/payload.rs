@@ -3,7 +3,7 @@
 use super::{Check, slice};
 use crate::envelope::first_nonzero;
 use crate::error::{CheckReport, Code, FormatError};
-use crate::kind::{PAYLOAD_ALIGNMENT, Semantic, VertexFormat};
+use crate::kind::{PAYLOAD_ALIGNMENT, Semantic, TextureFormat, VertexFormat};
 use crate::record::*;
 
 impl Check<'_, '_> {
@@ -113,6 +113,27 @@ impl Check<'_, '_> {
                 report.push(FormatError::new(Code::Box, at("bounds"), format!("{found:?}"), stated));
             }
         }
+    }
+
+    /// The first mip at hand of a float texture that holds a NaN or an infinity, by its section.
+    pub(super) fn texels_not_finite(&self, number: usize, texture: &TextureRecord) -> Option<(u32, FormatError)> {
+        let finite: fn(&[u8]) -> bool = match TextureFormat::from_number(texture.format)? {
+            TextureFormat::Rgba32Float => {
+                |texels| texels.as_chunks::<4>().0.iter().all(|bytes| f32::from_le_bytes(*bytes).is_finite())
+            }
+            // All five bits of the exponent set: no number.
+            TextureFormat::Rgba16Float => |texels| texels.as_chunks::<2>().0.iter().all(|b| b[1] & 0x7C != 0x7C),
+            _ => return None,
+        };
+        for (k, mip) in self.tables.texture_mips(texture).iter().enumerate() {
+            let Some(section) = self.envelope.section(mip.section as usize) else { continue };
+            let (start, end) = (mip.offset as usize, (mip.offset + mip.length) as usize);
+            if section.get(start..end).is_some_and(|texels| !finite(texels)) {
+                let at = format!("textures[{number}].mips[{k}]");
+                return Some((mip.section, FormatError::new(Code::NotFinite, at, "finite texels", "another")));
+            }
+        }
+        None
     }
 
     pub(super) fn tail_padding(&self, texture: &TextureRecord) -> Option<FormatError> {

@@ -4,6 +4,7 @@ mod damage;
 mod model;
 mod rules;
 mod specification;
+mod wide;
 
 use crate::{Container, Content, check, write};
 use model::{Model, tiny};

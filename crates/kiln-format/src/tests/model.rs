@@ -68,7 +68,7 @@ impl Model {
         };
         Content {
             source_triangles: 80,
-            layout: Some([64, 4, 1]),
+            layout: Some([64, 4, 1, 1]),
             levels: self.levels.iter().map(ModelLevel::content).collect(),
             submeshes: vec![submesh(0, Some(self.submesh_material)), submesh(1, None)],
             materials: vec![("clay".into(), material)],
@@ -76,6 +76,7 @@ impl Model {
                 name: "clay".into(),
                 format: TextureFormat::Rgba8Srgb,
                 channels: Role::BaseColor.channels(),
+                extra: None,
                 width: self.size[0],
                 height: self.size[1],
                 mips: self.mips.iter().map(|mip| Cow::Borrowed(&mip[..])).collect(),

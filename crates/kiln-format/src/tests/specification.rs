@@ -2,6 +2,7 @@
 
 use crate::Code;
 use crate::kind::{CODECS, KINDS};
+use crate::{Extra, TextureFormat};
 
 fn page() -> String {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../formats/container-v1.md");
@@ -27,6 +28,20 @@ fn every_section_kind_and_codec_stands_in_the_specification() {
     }
     for (number, name, in_use) in CODECS {
         let line = format!("| {number} | `{name}` | {} |", if in_use { "in use" } else { "reserved" });
+        assert!(page.contains(&line), "no line {line:?}");
+    }
+}
+
+#[test]
+fn every_texture_format_and_extra_stands_in_the_specification() {
+    let page = page();
+    for format in TextureFormat::ALL {
+        let unit = if format.is_block() { "block of 4 x 4 texels" } else { "texel" };
+        let line = format!("| {} | `{}` | {unit}, {} bytes |", format.number(), format.name(), format.unit_size());
+        assert!(page.contains(&line), "no line {line:?}");
+    }
+    for extra in Extra::ALL {
+        let line = format!("| {} | `{}`", extra.number(), extra.name());
         assert!(page.contains(&line), "no line {line:?}");
     }
 }

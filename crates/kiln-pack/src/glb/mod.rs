@@ -13,9 +13,10 @@
 //! `MSFT_screencoverage` says from which share of the screen's height on a level serves: the coverage at which the next level's
 //! error is one pixel on a screen of 1,080 lines; the last entry is 0.
 //!
-//! **Limits.** Joints and weights are left out, since there is no skeleton to refer to. A submesh has the attributes its source
-//! had, or that vary over it; a UV set that its material reads is made up of zeros where there is none. Where the joined mesh
-//! filled an attribute in, the export leaves it out again.
+//! **Limits.** Pictures leave in 8 bits: deep ones are rounded (colours to sRGB), blocks decoded, extras left out. Joints and
+//! weights are left out, since there is no skeleton to refer to. A submesh has the attributes its source had, or that vary over
+//! it; a UV set that its material reads is made up of zeros where there is none. Where the joined mesh filled an attribute in,
+//! the export leaves it out again.
 //!
 //! Sources: glTF 2.0 (Khronos, ISO/IEC 12113:2022), `MSFT_lod` and `KHR_materials_emissive_strength` in its registry.
 

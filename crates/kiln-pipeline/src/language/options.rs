@@ -265,6 +265,16 @@ choices! {
 }
 
 choices! {
+    /// How texels are stored.
+    pub enum TextureCoding {
+        /// As they are: 4 bytes a texel, or as a deep bake asks for.
+        "raw" => Raw,
+        /// In blocks that GPUs read, 1 byte a texel: BC5 for tangent-space normals, else BC7. Deep and extra maps stay raw.
+        "bc" => Bc,
+    }
+}
+
+choices! {
     /// An arrangement of levels in the container.
     pub enum PackLayout {
         /// Each level with its own index range over shared vertices.
@@ -467,6 +477,8 @@ options! {
     pub struct PackOptions {
         /// How levels lie in the container.
         "layouts" => layouts: Vec<PackLayout>, default(vec![PackLayout::Discrete]);
+        /// How the texels of materials' textures are stored.
+        "textures" => textures: TextureCoding, default(TextureCoding::Raw);
     }
 }
 

@@ -53,10 +53,18 @@ pub(crate) fn action(
     action.label = label;
     // The cage counts by what is in it.
     action.params = params(&StageSettings::Bake(options.clone()), &["high", "cage"]);
-    action.foreign =
-        [foreign::GLAM, foreign::OBVHS, foreign::MIKKTSPACE, foreign::BASISU, foreign::IMAGE, foreign::LIBM]
-            .map(Into::into)
-            .into();
+    action.foreign = [
+        foreign::GLAM,
+        foreign::OBVHS,
+        foreign::MIKKTSPACE,
+        foreign::BASISU,
+        foreign::EXR,
+        foreign::IMAGE,
+        foreign::LIBM,
+    ]
+    .map(Into::into)
+    .into();
+    action.foreign.extend(foreign::oiio());
     action.numeric_class = Some(foreign::NUMERIC_CLASS.into());
     if let Some(class) = backend.device_class(crate::language::Kind::Bake) {
         action.foreign.push(foreign::WGPU.into());

@@ -36,6 +36,7 @@ pub(crate) fn action(id: String, label: String, model: &str, options: &AssetOpti
         [foreign::DRACO, foreign::GLAM, foreign::IMAGE, foreign::LIBM, foreign::MESHOPT, foreign::SERDE_JSON]
             .map(Into::into)
             .into();
+    action.foreign.extend(foreign::oiio());
     // The decoders of compressed views are C++. Where their bits are the same all the same, what follows is fresh.
     action.numeric_class = Some(format!("{}; {}", foreign::NUMERIC_CLASS, foreign::cxx_class()));
     action.discovers = Some(folder.to_owned());

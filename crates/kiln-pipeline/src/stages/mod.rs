@@ -175,5 +175,7 @@ pub(crate) fn version(kind: Kind) -> String {
 /// Everything in this program that a fingerprint may cover: two programs of equal identity make equal plans.
 pub fn identity() -> String {
     let stages: String = Kind::ALL.iter().map(|kind| format!("{} {} ", kind.as_str(), version(*kind))).collect();
-    format!("import {} {stages}{} {}", import::VERSION, crate::foreign::NUMERIC_CLASS, crate::foreign::all().join(" "))
+    let foreign: Vec<String> =
+        crate::foreign::all().map(String::from).into_iter().chain(crate::foreign::oiio()).collect();
+    format!("import {} {stages}{} {}", import::VERSION, crate::foreign::NUMERIC_CLASS, foreign.join(" "))
 }

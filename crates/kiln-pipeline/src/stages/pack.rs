@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use kiln_asset::import::{ImageLimits, decode_image};
-use kiln_asset::{ImageFormat, ImageId, Raster};
+use kiln_asset::{DeepRaster, ImageFormat, ImageId, Raster};
 use kiln_engine::{Action, ActionError, ContentHash, Context, Outputs, Source};
-use kiln_pack::{PackOptions, Provenance, pack};
+use kiln_pack::{Coding, PackOptions, Picture, Provenance, pack};
 
 use super::{StageError, import, json, load_images, load_levels, load_materials, params};
 use crate::foreign;
 use crate::language::StageSettings;
-use crate::language::options;
+use crate::language::options::{self, TextureCoding};
 
 /// Raised whenever the same input and parameters give other bytes.
 pub(crate) const VERSION: u32 = 1;
@@ -39,7 +39,8 @@ pub(crate) fn action(
 ) -> Action {
     let stages: String = made_by.stages.iter().map(|(id, version)| format!("{id} {version}; ")).collect();
     let made = made_by.clone();
-    let mut action = Action::new(id, "pack", VERSION, move |context| run(context, &made))
+    let own = PackOptions { textures: coding(options.textures), ..PackOptions::default() };
+    let mut action = Action::new(id, "pack", VERSION, move |context| run(context, &made, &own))
         .input("levels", levels)
         .input("materials", Source::output(materials, "materials"))
         .input("images", Source::outputs(materials, "image/"))
@@ -51,15 +52,28 @@ pub(crate) fn action(
     if let Some(class) = made_by.device_class {
         action = action.param("device", class);
     }
-    action.foreign = vec![foreign::BASISU.into(), foreign::GLAM.into(), foreign::IMAGE.into()];
+    action.foreign = vec![foreign::BASISU.into(), foreign::EXR.into(), foreign::GLAM.into(), foreign::IMAGE.into()];
+    action.foreign.extend(foreign::oiio());
     action.numeric_class = Some(foreign::NUMERIC_CLASS.into());
+    if options.textures == TextureCoding::Bc {
+        // The encoder of BC7 is C++.
+        action.foreign.push(foreign::BC7F.into());
+        action.numeric_class = Some(foreign::cxx_class());
+    }
     action
+}
+
+fn coding(choice: TextureCoding) -> Coding {
+    match choice {
+        TextureCoding::Raw => Coding::Raw,
+        TextureCoding::Bc => Coding::Bc,
+    }
 }
 
 /// The tool's name in provenance.
 const TOOL: &str = concat!("kiln ", env!("CARGO_PKG_VERSION"));
 
-fn run(context: &Context<'_>, made_by: &MadeBy) -> Result<Outputs, ActionError> {
+fn run(context: &Context<'_>, made_by: &MadeBy, options: &PackOptions) -> Result<Outputs, ActionError> {
     let levels = load_levels(context, "levels")?;
     let materials = load_materials(context, "materials")?;
     let images = load_images(context, &materials)?;
@@ -67,15 +81,17 @@ fn run(context: &Context<'_>, made_by: &MadeBy) -> Result<Outputs, ActionError> 
     let provenance = Provenance {
         pipeline: made_by.pipeline.0,
         tool: TOOL.into(),
-        numeric_class: foreign::NUMERIC_CLASS.into(),
+        numeric_class: match options.textures {
+            Coding::Raw => foreign::NUMERIC_CLASS.into(),
+            Coding::Bc => foreign::cxx_class(),
+        },
         device_class: made_by.device_class.clone().unwrap_or_default(),
         inputs,
         stages: made_by.stages.clone(),
     };
     let pictures = Pictures::new(&images, materials.images.iter().map(|i| i.format).collect());
-    let decode = |image: ImageId| pictures.get(image);
-    let (bytes, report) =
-        pack(&levels, &materials, &decode, &provenance, &PackOptions::default()).map_err(StageError::Pack)?;
+    let decode = |image: ImageId| pictures.picture(image);
+    let (bytes, report) = pack(&levels, &materials, &decode, &provenance, options).map_err(StageError::Pack)?;
     Ok(Outputs::new().with("container", bytes).report(json(&report)))
 }
 
@@ -91,7 +107,17 @@ impl<'a> Pictures<'a> {
         Pictures { encoded, formats, decoded: Mutex::default() }
     }
 
-    /// The picture, or why it cannot be had.
+    /// The picture in its own depth, or why it cannot be had. Deep ones are not kept: each is asked for once.
+    pub(crate) fn picture(&self, image: ImageId) -> Result<Picture, String> {
+        match (self.encoded.get(image.index()), self.formats.get(image.index())) {
+            (Some(bytes), Some(ImageFormat::Deep)) => {
+                DeepRaster::from_blob(bytes).map(Picture::from).map_err(|e| e.to_string())
+            }
+            _ => self.get(image).map(Picture::Plain),
+        }
+    }
+
+    /// The picture in 8 bits, or why it cannot be had.
     pub(crate) fn get(&self, image: ImageId) -> Result<Arc<Raster>, String> {
         let mut decoded = self.decoded.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = decoded.get(&image) {

@@ -68,7 +68,8 @@ pub(crate) fn collapse_action(
     let sees_pictures = options.texture_border.is_some() || options.metric.metric.sees_regions();
     if sees_pictures {
         action = action.input("images", inputs.images.clone());
-        action.foreign.extend([foreign::BASISU, foreign::IMAGE].map(Into::into));
+        action.foreign.extend([foreign::BASISU, foreign::EXR, foreign::IMAGE].map(Into::into));
+        action.foreign.extend(foreign::oiio());
     }
     if sees_pictures || options.metric.metric.has_views() {
         action.foreign.push(foreign::LIBM.into());

@@ -159,8 +159,30 @@ pub(crate) struct ExportArgs {
     #[arg(long)]
     pub(crate) all: bool,
     /// The GLB to write
-    #[arg(short, long, value_name = "OUT.glb")]
-    pub(crate) output: PathBuf,
+    #[arg(short, long, value_name = "OUT.glb", required_unless_present = "textures")]
+    pub(crate) output: Option<PathBuf>,
+    /// Write every texture into this folder, as a file named after it
+    #[arg(long, value_name = "DIR")]
+    pub(crate) textures: Option<PathBuf>,
+    /// Format of the textures' files [default: png, and exr for textures of floats]
+    #[arg(long, value_enum, requires = "textures")]
+    pub(crate) format: Option<FileFormatArg>,
+    /// With `--format exr`: all mips, in tiles of 64 x 64
+    #[arg(long, requires = "format")]
+    pub(crate) mips: bool,
+}
+
+/// Formats of `kiln export --textures`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum FileFormatArg {
+    /// 8 or 16 bits, mip 0; blocks are decoded
+    Png,
+    /// Halves or floats, linear; blocks are decoded
+    Exr,
+    /// All mips as they lie in the container, blocks too
+    Ktx2,
+    /// Tiled and mip-mapped for renderers, by OpenImageIO (feature `oiio`)
+    Tx,
 }
 
 /// `kiln compare`.

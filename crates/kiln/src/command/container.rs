@@ -65,14 +65,18 @@ fn text(file: &Path, report: &InspectReport) -> String {
     for texture in &report.textures {
         let _ = writeln!(
             out,
-            "  texture {}: {} x {}, {}, {} mips, {}, {}",
+            "  {} {}: {} x {}, {}, {} mips, {}, {}",
+            if texture.extra.is_some() { "extra" } else { "texture" },
             texture.name,
             texture.width,
             texture.height,
             texture.format,
             texture.mips,
             summary::bytes(texture.bytes),
-            texture.roles.join(", ")
+            match texture.extra {
+                Some(extra) => format!("{extra}, sheet {}", texture.sheet),
+                None => texture.roles.join(", "),
+            }
         );
     }
     if let Some(made) = &report.provenance {
@@ -124,23 +128,29 @@ pub(super) fn check(args: &CheckArgs) -> Exit {
     exit
 }
 
-/// Writes a level, or all, as GLB.
+/// Writes a level, or all, as GLB, and textures as files.
 pub(super) fn export(args: &ExportArgs) -> Exit {
     let bytes = match read(&args.file) {
         Ok(bytes) => bytes,
         Err(exit) => return exit,
     };
+    let textures = args.textures.as_ref().map(|folder| super::textures::export(args, folder, &bytes));
+    let levels = args.output.as_ref().map(|output| export_levels(args, output, &bytes));
+    [textures, levels].into_iter().flatten().max().unwrap_or(Exit::Done)
+}
+
+fn export_levels(args: &ExportArgs, output: &Path, bytes: &[u8]) -> Exit {
     let which = if args.all { ExportLevels::All } else { ExportLevels::One(args.level) };
-    let (glb, report) = match export_container_glb(&bytes, which) {
+    let (glb, report) = match export_container_glb(bytes, which) {
         Ok(result) => result,
         Err(error) => return complain(Exit::Failed, &format!("{}: {error}", args.file.display())),
     };
     for note in &report.notes {
         eprintln!("note: {note}");
     }
-    if let Err(exit) = write(&args.output, &glb) {
+    if let Err(exit) = write(output, &glb) {
         return exit;
     }
-    eprintln!("{}: {}", args.output.display(), summary::bytes(glb.len() as u64));
+    eprintln!("{}: {}", output.display(), summary::bytes(glb.len() as u64));
     Exit::Done
 }

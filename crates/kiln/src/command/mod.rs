@@ -8,6 +8,7 @@ mod diagnostics;
 mod doctor;
 mod init;
 mod progress;
+mod textures;
 mod why;
 
 use std::path::Path;

@@ -238,7 +238,7 @@ impl Model {
             let usage = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST;
             let format =
                 if role.is_srgb() { wgpu::TextureFormat::Rgba8UnormSrgb } else { wgpu::TextureFormat::Rgba8Unorm };
-            let texture = gpu.picture(role.name(), TEXELS, format, usage)?;
+            let texture = gpu.picture(role.name(), [TEXELS; 2], format, usage)?;
             let layout =
                 wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * TEXELS), rows_per_image: None };
             let bytes = picture.texels.as_flattened();
@@ -306,8 +306,8 @@ fn draw(gpu: &Gpu, model: &Model, frame: &Frame, factors: &Factors) -> Result<Ve
     let (frame, factors) = (gpu.uniform("frame", frame)?, gpu.uniform("material", factors)?);
     let usage = wgpu::TextureUsages::RENDER_ATTACHMENT;
     let target =
-        gpu.picture("target", SIZE, wgpu::TextureFormat::Rgba8UnormSrgb, usage | wgpu::TextureUsages::COPY_SRC)?;
-    let depth = gpu.picture("depth", SIZE, wgpu::TextureFormat::Depth32Float, usage)?;
+        gpu.picture("target", [SIZE; 2], wgpu::TextureFormat::Rgba8UnormSrgb, usage | wgpu::TextureUsages::COPY_SRC)?;
+    let depth = gpu.picture("depth", [SIZE; 2], wgpu::TextureFormat::Depth32Float, usage)?;
     gpu.check("draw", || {
         let sampler = gpu.device().create_sampler(&wgpu::SamplerDescriptor {
             mag_filter: wgpu::FilterMode::Linear,

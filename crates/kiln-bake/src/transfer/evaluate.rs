@@ -137,35 +137,28 @@ impl Evaluator<'_> {
 
     /// The values of a map at hits, by column; vectors in `[-1, 1]`.
     #[inline]
-    pub(crate) fn each(&self, map: &Planned<'_>, row: &Row, mut put: impl FnMut(usize, [f32; 4])) {
+    pub(crate) fn each(&self, map: &Planned<'_>, row: &Row, put: impl FnMut(usize, [f32; 4])) {
         let one = |value: f32| [value, value, value, 1.0];
-        let mut open = |value: &dyn Fn(&HitPoint, &Openness) -> [f32; 4]| {
-            row.hits.iter().zip(&row.open).for_each(|((column, hit), open)| put(*column as usize, value(hit, open)));
-        };
         match (map.what, &map.source) {
-            (What::Extra(ExtraMap::AmbientOcclusion), _) => return open(&|_, open| one(open.share)),
-            (What::Extra(ExtraMap::BentNormal), _) => return open(&|_, open| open.bent.extend(1.0).to_array()),
-            (What::Role(MapRole::Occlusion), Some(source)) if self.options.occlusion != OcclusionSource::Source => {
-                return open(&|hit, open| match self.options.occlusion {
-                    OcclusionSource::Both => one(open.share * self.role(source, hit)[0]),
-                    _ => one(open.share),
-                });
-            }
-            _ => {}
-        }
-        let mut all = |value: &dyn Fn(&HitPoint) -> [f32; 4]| {
-            row.hits.iter().for_each(|(column, hit)| put(*column as usize, value(hit)));
-        };
-        match (map.what, &map.source) {
-            (What::Role(MapRole::Normal), Some(source)) if self.options.space == NormalSpace::Object => {
-                all(&|hit| source.normal(hit, self.high_normals).extend(1.0).to_array());
-            }
-            (What::Role(MapRole::Normal), Some(source)) => {
-                all(&|hit| self.frame(hit).encode(source.normal(hit, self.high_normals)).extend(1.0).to_array());
-            }
-            (What::Role(_), Some(source)) => all(&|hit| self.role(source, hit)),
-            (What::Extra(extra), source) => all(&|hit| self.extra(extra, source.as_ref(), hit)),
-            (What::Role(_), None) => all(&|_| [0.0, 0.0, 0.0, 1.0]),
+            (What::Extra(ExtraMap::AmbientOcclusion), _) => row.open(put, |_, open| one(open.share)),
+            (What::Extra(ExtraMap::BentNormal), _) => row.open(put, |_, open| open.bent.extend(1.0).to_array()),
+            (What::Role(MapRole::Occlusion), Some(source)) => match self.options.occlusion {
+                OcclusionSource::Source => row.hits(put, |hit| self.role(source, hit)),
+                OcclusionSource::Rays => row.open(put, |_, open| one(open.share)),
+                OcclusionSource::Both => row.open(put, |hit, open| one(open.share * self.role(source, hit)[0])),
+            },
+            (What::Role(MapRole::Normal), Some(source)) => match self.options.space {
+                NormalSpace::Object => {
+                    row.hits(put, |hit| source.normal(hit, self.high_normals).extend(1.0).to_array());
+                }
+                NormalSpace::Tangent => row.hits(put, |hit| {
+                    self.frame(hit).encode(source.normal(hit, self.high_normals)).extend(1.0).to_array()
+                }),
+            },
+            (What::Role(_), Some(source)) => row.hits(put, |hit| self.role(source, hit)),
+            (What::Extra(extra), source) => row.hits(put, |hit| self.extra(extra, source.as_ref(), hit)),
+            // Every role has a source.
+            (What::Role(_), None) => row.hits(put, |_| [0.0, 0.0, 0.0, 1.0]),
         }
     }
 
@@ -232,6 +225,19 @@ pub(crate) struct Row {
     pub(crate) hits: Vec<(u32, HitPoint)>,
     /// `[hits]`; empty where no map shows it.
     pub(crate) open: Vec<Openness>,
+}
+
+impl Row {
+    #[inline]
+    fn hits(&self, mut put: impl FnMut(usize, [f32; 4]), value: impl Fn(&HitPoint) -> [f32; 4]) {
+        self.hits.iter().for_each(|(column, hit)| put(*column as usize, value(hit)));
+    }
+
+    #[inline]
+    fn open(&self, mut put: impl FnMut(usize, [f32; 4]), value: impl Fn(&HitPoint, &Openness) -> [f32; 4]) {
+        let all = self.hits.iter().zip(&self.open);
+        all.for_each(|((column, hit), open)| put(*column as usize, value(hit, open)));
+    }
 }
 
 /// The samples of a bin, evaluated.
@@ -376,6 +382,7 @@ pub(crate) enum Rows<'a> {
 
 impl Rows<'_> {
     /// Writes a filtered value. `halved`: unit vectors as `(v + 1) / 2`.
+    #[inline]
     pub(crate) fn write(&mut self, index: usize, value: [f32; 4], kind: Kind, halved: bool) {
         let value = if kind == Kind::Normal {
             let unit = Vec3::new(value[0], value[1], value[2]).try_normalize().unwrap_or(Vec3::Z);
@@ -437,7 +444,7 @@ pub(crate) fn check_options(options: &BakeOptions, reach: [f32; 2]) -> Result<()
             return refuse(name, value.to_string(), "a length".into());
         }
     }
-    if !(reach[0] + reach[1] > 0.0) {
+    if reach[0] + reach[1] == 0.0 {
         return refuse("front", reach[0].to_string(), "a positive length where back is 0".into());
     }
     Ok(())

@@ -284,7 +284,7 @@ impl<'a> Pass<'a> {
         bands.resize_with(charts.len().div_ceil(rows), Vec::new);
         let bands = bands.into_iter().zip(charts.chunks_mut(rows)).zip(covered.chunks_mut(rows)).collect();
         let counts = self.each_row(bands, |y, ((mut maps, charts), covered), stripe, bench| {
-            self.band(y, &evaluator, stripe, bench, &mut maps, charts, covered)
+            self.band(y, &evaluator, stripe, bench, Texels { maps: &mut maps, charts, covered })
         })?;
         self.account(counts, report);
         if let Finder::Layout(_) = self.finder {
@@ -392,16 +392,14 @@ impl<'a> Pass<'a> {
         what == What::Role(MapRole::Normal) && self.options.space == NormalSpace::Tangent
     }
 
-    /// A row of bins: `maps`, `charts` and `covered` are its texels.
+    /// A row of bins, written to `into`.
     fn band(
         &self,
         y: u32,
         evaluator: &Evaluator<'_>,
         stripe: Option<&Stripe>,
         bench: &mut Bench,
-        maps: &mut [Rows<'_>],
-        charts: &mut [u32],
-        covered: &mut [bool],
+        mut into: Texels<'_, '_>,
     ) -> Counts {
         let mut counts = Counts::default();
         let mut locator = self.locator();
@@ -410,11 +408,11 @@ impl<'a> Pass<'a> {
                 continue;
             }
             counts = counts + self.hits(x, y, stripe, bench);
-            let (bin, into) = ([x, y], Texels { maps: &mut *maps, charts: &mut *charts, covered: &mut *covered });
+            let bin = [x, y];
             counts = counts
                 + match self.sheet.samples {
-                    1 => self.texels(bin, evaluator, &mut locator, bench, into),
-                    _ => self.filtered(bin, evaluator, &mut locator, bench, into),
+                    1 => self.texels(bin, evaluator, &mut locator, bench, &mut into),
+                    _ => self.filtered(bin, evaluator, &mut locator, bench, &mut into),
                 };
         }
         counts
@@ -448,7 +446,7 @@ impl<'a> Pass<'a> {
         evaluator: &Evaluator<'_>,
         locator: &mut Locator<'_>,
         bench: &mut Bench,
-        into: Texels<'_, '_>,
+        into: &mut Texels<'_, '_>,
     ) -> Counts {
         let mut counts = Counts::default();
         let rect = self.sheet.samples(x, y);
@@ -484,7 +482,7 @@ impl<'a> Pass<'a> {
         evaluator: &Evaluator<'_>,
         locator: &mut Locator<'_>,
         bench: &mut Bench,
-        into: Texels<'_, '_>,
+        into: &mut Texels<'_, '_>,
     ) -> Counts {
         let mut counts = Counts::default();
         let rect = self.sheet.samples(x, y);

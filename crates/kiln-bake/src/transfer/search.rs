@@ -202,16 +202,19 @@ impl<'a> Search<'a> {
         let Rect { x0, y0, x1, y1 } = candidate.samples;
         let width = (bin.rect.x1 - bin.rect.x0) as usize;
         let step = 1.0 / f64::from(bin.samples);
-        let DVec2 { x: first, .. } = lines.place([x0, y0], bin.samples);
-        let spans = Spans::new(&target, first, step, x1 - x0);
+        let corner = lines.place([x0, y0], bin.samples);
+        let first = corner.x;
+        let spans = Spans::new(&target, corner, step, [x1 - x0, y1 - y0]);
         for y in y0..y1 {
-            let v = lines.place([x0, y], bin.samples).y;
+            let v = corner.y + f64::from(y - y0) * step;
+            let (from, to) = if self.back_faces { (0, x1 - x0) } else { spans.at(v, step, x1 - x0) };
+            if from >= to {
+                continue;
+            }
             // In one row the edges are quadratics in x.
             let row = |e: &[f64; 6]| [e[0] + v * (e[2] + v * e[5]), e[1] + v * e[4], e[3]];
             let [a, b, c] = [row(&target.edges[0]), row(&target.edges[1]), row(&target.edges[2])];
             let height = target.height[0] + target.height[2] * v;
-            let (from, to) =
-                if self.back_faces { (0, x1 - x0) } else { spans.of([&a, &b, &c], target.open, step, x1 - x0) };
             let start = (y - bin.rect.y0) as usize * width + (x0 - bin.rect.x0) as usize;
             for k in from..to {
                 let index = start + k as usize;
@@ -249,44 +252,57 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Where in a row of samples a triangle can lie: its edges about the middle of the row.
+/// Where in each row of a box of samples a triangle can lie. Over the box an edge's quadratic is its tangent plane at the middle and at
+/// most a little more; where that is negative, so is the edge.
 struct Spans {
-    /// Half of the row's length, and the middle's x.
+    /// Half of a row's length, places.
     half: f64,
+    /// The middle's y.
     middle: f64,
-    /// One over each edge's slope in x; NaN where it changes from row to row.
-    inverse: [f64; 3],
+    /// For each edge the x (from the middle) at which its bound changes sign, in the middle row, and its change with y.
+    roots: [[f64; 2]; 3],
+    /// Whether the bound is positive right of the root; `None`: it says nothing about x.
+    right: [Option<bool>; 3],
 }
 
 impl Spans {
-    fn new(target: &Target, first: f64, step: f64, count: u32) -> Spans {
-        let half = 0.5 * f64::from(count) * step;
-        let straight = |e: &[f64; 6]| if e[3] == 0.0 && e[4] == 0.0 { 1.0 / e[1] } else { f64::NAN };
-        let [a, b, c] = &target.edges;
-        Spans { half, middle: first + half - 0.5 * step, inverse: [straight(a), straight(b), straight(c)] }
+    /// `first`: the place of the box's first sample; `step`: from sample to sample; `count`: columns and rows.
+    fn new(target: &Target, first: DVec2, step: f64, count: [u32; 2]) -> Spans {
+        let half = [0.5 * f64::from(count[0]) * step, 0.5 * f64::from(count[1]) * step];
+        let (x, y) = (first.x + half[0] - 0.5 * step, first.y + half[1] - 0.5 * step);
+        let (mut roots, mut right) = ([[0.0; 2]; 3], [None; 3]);
+        for (k, e) in target.edges.iter().enumerate() {
+            let slack = e[3].abs() * half[0] * half[0]
+                + e[4].abs() * half[0] * half[1]
+                + e[5].abs() * half[1] * half[1]
+                + target.open;
+            let value = e[0] + y * (e[2] + y * e[5]) + x * (e[1] + y * e[4] + x * e[3]) + slack;
+            let (along, down) = (e[1] + 2.0 * e[3] * x + e[4] * y, e[2] + 2.0 * e[5] * y + e[4] * x);
+            let inverse = -1.0 / along;
+            if inverse.is_finite() {
+                roots[k] = [value * inverse, down * inverse];
+                right[k] = Some(along > 0.0);
+            }
+        }
+        Spans { half: half[0], middle: y, roots, right }
     }
 
-    /// The first sample of a row and one behind the last, outside of which one of the three quadratics is below `-open`. Within them
-    /// it may be too.
+    /// The first sample of the row at `y` and one behind the last that the triangle can reach.
     #[inline]
-    fn of(&self, edges: [&[f64; 3]; 3], open: f64, step: f64, count: u32) -> (u32, u32) {
+    fn at(&self, y: f64, step: f64, count: u32) -> (u32, u32) {
         let (mut from, mut to) = (-self.half, self.half);
-        for (e, inverse) in edges.into_iter().zip(self.inverse) {
-            // A quadratic is its tangent and at most this much more.
-            let value = e[0] + self.middle * (e[1] + self.middle * e[2]) + e[2].max(0.0) * self.half * self.half + open;
-            let slope = e[1] + 2.0 * self.middle * e[2];
-            let inverse = if inverse.is_nan() { 1.0 / slope } else { inverse };
-            if slope > 0.0 {
-                from = from.max(-value * inverse);
-            } else if slope < 0.0 {
-                to = to.min(-value * inverse);
-            } else if value < 0.0 {
-                return (0, 0);
+        let row = y - self.middle;
+        for ([root, change], right) in self.roots.iter().zip(self.right) {
+            let root = root + change * row;
+            match right {
+                Some(true) => from = if root > from { root } else { from },
+                Some(false) => to = if root < to { root } else { to },
+                None => {}
             }
         }
         // A sample more on either side for what rounding does to the roots. Casts saturate.
-        let sample = |at: f64| (at + self.half) / step - 0.5;
-        (sample(from) as u32, ((sample(to) + 2.0).max(0.0) as u32).min(count))
+        let (from, to) = ((from + self.half) / step - 0.5, (to + self.half) / step + 1.5);
+        (from as u32, (to as u32).min(count))
     }
 }
 

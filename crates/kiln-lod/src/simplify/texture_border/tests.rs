@@ -30,6 +30,7 @@ fn materials() -> MaterialSet {
         ],
         textures: [0, 1].map(|k| Texture { image: ImageId(k), sampler }).into(),
         images: vec![image("paint"), image("bumps")],
+        ..MaterialSet::default()
     }
 }
 

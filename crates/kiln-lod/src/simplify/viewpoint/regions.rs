@@ -279,7 +279,12 @@ mod tests {
             sampler: Sampler { wrap_u: *wrap, wrap_v: *wrap, ..Sampler::default() },
         };
         let info = |k: u32| ImageInfo { name: format!("image {k}"), format: ImageFormat::Png, hash: [k as u8; 32] };
-        MaterialSet { materials, textures: textures.iter().map(texture).collect(), images: (0..4).map(info).collect() }
+        MaterialSet {
+            materials,
+            textures: textures.iter().map(texture).collect(),
+            images: (0..4).map(info).collect(),
+            ..MaterialSet::default()
+        }
     }
 
     const SHARP: SegmentationOptions = SegmentationOptions { sigma: 0.0, k: 300.0, min_size: 1, reach: 0, side: 512 };

@@ -623,6 +623,7 @@ fn texture_borders_on_top_add_their_share_of_the_area() {
         materials: vec![Material { base_color, ..Material::default() }],
         textures: vec![Texture { image: ImageId(0), sampler: Sampler::default() }],
         images: vec![ImageInfo { name: "halves".into(), format: ImageFormat::Png, hash: [0; 32] }],
+        ..MaterialSet::default()
     };
     // Dark on the left, light on the right of u = 0.3.
     let texels = (0..64 * 64).map(|t| if t % 64 < 20 { [0, 0, 0, 255] } else { [255; 4] }).collect();

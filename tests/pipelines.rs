@@ -168,3 +168,42 @@ fn texel_density_builds_and_gives_each_submesh_its_factor_and_a_time_limit_makes
     let short = space.run(vain).expect(1).json();
     assert!(short["short"][0].as_str().unwrap().contains("\"lit\" matches no submesh"), "{short:#}");
 }
+
+#[test]
+fn every_map_lies_in_the_container_and_leaves_as_files() {
+    let space = copied("every-map.toml");
+    let args = ["build", "pipelines/every-map.toml", "--backend", "cpu", "--json"];
+    let report = space.run(args).expect(0).json();
+    let bake = report["assets"][0]["stages"].as_array().unwrap().iter().find(|s| s["stage"] == "bake").unwrap();
+    assert_eq!(bake["report"]["sheets"], 2, "{bake:#}");
+    let count = |key: &str| bake["report"][key].as_u64().unwrap();
+    assert!(count("owned") > 20_000 && count("missed") * 1000 < count("owned"), "{bake:#}");
+    let container = "pipelines/build/every-map/pot.kiln";
+    space.run(["check", container]).expect(0);
+    let (_, materials, pictures) = kiln_pack::unpack_pictures(&space.read(container)).unwrap();
+    // Two sheets of four maps of materials and ten others.
+    assert_eq!((pictures.len(), materials.extras.len()), (28, 20));
+    for kind in kiln_asset::ExtraMap::ALL {
+        let sheets: Vec<u32> = materials.extras.iter().filter(|e| e.kind == kind).map(|e| e.sheet).collect();
+        assert_eq!(sheets, [0, 1], "{}", kind.name());
+    }
+    space.run(["export", container, "--textures", "files"]).expect(0);
+    let files = fs::read_dir(space.path("files")).unwrap().map(|e| e.unwrap().path());
+    let (png, exr): (Vec<_>, Vec<_>) = files.partition(|f| f.extension().is_some_and(|e| e == "png"));
+    // Heights, places, two kinds of numbers and curvature are floats.
+    assert_eq!((png.len(), exr.len()), (18, 10));
+    for format in ["exr", "ktx2"] {
+        space.run(["export", container, "--textures", format, "--format", format]).expect(0);
+        assert_eq!(fs::read_dir(space.path(format)).unwrap().count(), 28, "{format}");
+    }
+}
+
+#[test]
+fn a_shared_layout_is_baked_without_an_atlas() {
+    let space = copied("shared-layout.toml");
+    let args = ["build", "pipelines/shared-layout.toml", "--backend", "cpu", "--json"];
+    let report = space.run(args).expect(0).json();
+    let bake = report["assets"][0]["stages"].as_array().unwrap().iter().find(|s| s["stage"] == "bake").unwrap();
+    assert!(bake["report"]["covered"].as_u64().unwrap() > 256 * 128, "{bake:#}");
+    space.run(["check", "pipelines/build/shared-layout/seam-plane.kiln"]).expect(0);
+}

@@ -80,6 +80,12 @@ impl<'a> Occluder<'a> {
     ///
     /// A face or point that is none (no such number, not finite) is open, with its normal.
     pub fn at(&self, point: Vec3, normal: Vec3, face: u32, seed: u32) -> Openness {
+        self.part_at(point, normal, face, seed, [0, 1])
+    }
+
+    /// As [`Occluder::at`], with the rays `first`, `first + step`, ... only: points that are averaged, and together take all rays of one
+    /// seed, look everywhere once. Where none of them lies above the face, one is mirrored.
+    pub fn part_at(&self, point: Vec3, normal: Vec3, face: u32, seed: u32, [first, step]: [u32; 2]) -> Openness {
         let nothing = Openness { share: 1.0, bent: normal };
         let Some(triangle) = self.triangles.get(face as usize) else { return nothing };
         let corners = triangle.map(|v| self.positions[v as usize]);
@@ -92,16 +98,27 @@ impl<'a> Occluder<'a> {
         let (sin, cos) = (math::sin64(turn) as f32, math::cos64(turn) as f32);
         let (across, along) = (cos * tangent + sin * bitangent, cos * bitangent - sin * tangent);
         let (mut asked, mut open, mut sum) = (0u32, 0u32, Vec3::ZERO);
-        for Vec2 { x, y } in &self.disc {
-            let direction = *x * across + *y * along + (1.0 - x * x - y * y).max(0.0).sqrt() * normal;
-            if direction.dot(up) <= 0.0 {
-                continue;
-            }
+        let mut ask = |direction: Vec3| {
             asked += 1;
             if !self.bvh.occluded(origin, direction, 0.0, self.reach) {
                 open += 1;
                 sum += direction;
             }
+        };
+        let rays = self.disc.iter().skip(first as usize).step_by(step.max(1) as usize);
+        let direction =
+            |Vec2 { x, y }: &Vec2| *x * across + *y * along + (1.0 - x * x - y * y).max(0.0).sqrt() * normal;
+        let mut below = None;
+        for direction in rays.map(direction) {
+            if direction.dot(up) > 0.0 {
+                below = Some(None);
+                ask(direction);
+            } else {
+                below = below.or(Some(Some(direction)));
+            }
+        }
+        if let Some(Some(direction)) = below {
+            ask(direction - 2.0 * direction.dot(up) * up);
         }
         if asked == 0 {
             return nothing;

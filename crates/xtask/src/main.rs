@@ -1,5 +1,6 @@
 //! The project's own chores, as `cargo xtask NAME`; `cargo xtask` lists them.
 
+mod baked;
 mod corpus;
 mod fuzz;
 mod long;
@@ -20,6 +21,7 @@ cargo xtask NAME
                        write the malformed and the awkward models that the tests make into DIR
   fixtures --seeds     write fuzz/seeds and fuzz/siblings
   corpus [NAME...]     build real models end to end (needs KILN_CORPUS); --out FILE writes the table
+  baked                bake real models and compare them with their sources; writes docs/results/bake.md
   pictures ...         render models and containers side by side
   long [PART]          what takes longer than CI allows: corpus, kills, fuzz; logs go to docs/results/";
 
@@ -38,6 +40,7 @@ fn main() -> ExitCode {
         "fixtures" if args.first().is_some_and(|a| a == "--seeds") => fixtures::families::seeds::run(&root),
         "fixtures" => fixtures::run(&root),
         "corpus" => corpus::run(&root, &args),
+        "baked" => baked::run(&root),
         "pictures" => pictures::run(&args),
         "long" => long::run(&root, &args),
         _ => Err(HELP.into()),

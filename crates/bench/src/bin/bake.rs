@@ -1,6 +1,6 @@
 //! A normal-map bake beside a straight per-texel ray cast with a third-party tree: seconds, texels a second, memory, agreement.
 //!
-//! `cargo run --release -p kiln-bench --bin bake -- MODEL [--low N] [--size N]... [--runs N] [--threads N] [--samples N] [--save FOLDER]`
+//! `cargo run --release -p kiln-bench --bin bake -- MODEL [--low N] [--size N]... [--runs N] [--threads N] [--samples N] [--save FOLDER] [--out FILE]`
 //!
 //! MODEL is the high mesh; the low one is kiln's own level of N triangles (1,000), unwrapped. Object-space normals, outermost hits, equal
 //! reach in front and behind (0.02 of the diagonal). Trees are built within the clock on both sides; dilation, which the peer does
@@ -17,8 +17,8 @@ use glam::{Vec2, Vec3, Vec3A};
 use kiln_asset::{ExtraMap, FaceId, Level, LodSet, MapRole, MaterialSet, Mesh};
 use kiln_bake::atlas::{AtlasOptions, Uvunwrap, unwrap};
 use kiln_bake::transfer::{Backend, BakeInput, BakeOptions, Depth, Directions, NormalSpace, Picture, bake};
-use kiln_bench::rows::Page;
-use kiln_bench::{memory, middle, model, timed};
+use kiln_bench::rows::{Page, stamp};
+use kiln_bench::{memory, middle, model, name, timed};
 use kiln_geom::raster::rasterise;
 use kiln_lod::merge::{MergeOptions, merge};
 use kiln_lod::normals;
@@ -40,10 +40,11 @@ struct Ask {
     threads: usize,
     samples: u32,
     save: Option<PathBuf>,
+    out: Option<PathBuf>,
 }
 
 fn main() -> ExitCode {
-    let mut ask = Ask { low: 1000, sizes: Vec::new(), runs: 5, threads: 1, samples: 1, save: None };
+    let mut ask = Ask { low: 1000, sizes: Vec::new(), runs: 5, threads: 1, samples: 1, save: None, out: None };
     let mut path = None;
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
@@ -54,12 +55,15 @@ fn main() -> ExitCode {
             "--runs" => ask.runs = number() as usize,
             "--threads" => ask.threads = number() as usize,
             "--samples" => ask.samples = number(),
+            "--out" => ask.out = args.next().map(PathBuf::from),
             "--save" => ask.save = args.next().map(PathBuf::from),
             _ => path = Some(PathBuf::from(arg)),
         }
     }
     let Some(path) = path else {
-        eprintln!("usage: bake MODEL [--low N] [--size N]... [--runs N] [--threads N] [--samples N] [--save FOLDER]");
+        eprintln!(
+            "usage: bake MODEL [--low N] [--size N]... [--runs N] [--threads N] [--samples N] [--save FOLDER] [--out FILE]"
+        );
         return ExitCode::from(64);
     };
     if ask.sizes.is_empty() {
@@ -85,7 +89,25 @@ fn compare(path: &Path, ask: &Ask) -> Result<(), String> {
     let high = if mesh.normals.is_some() { mesh } else { normals::rebuild(&mesh, 180.0) };
     let sequence = collapse(&high, &[], None, &SimplifyOptions::default());
     let level = cut(&high, &[], &sequence, ask.low, Placement::Free);
-    let mut page = Page::new(None);
+    let mut page = Page::new(ask.out.clone());
+    if ask.out.is_some() {
+        page.line("# A bake beside a straight ray cast");
+        page.line("");
+        page.line(&stamp("cargo run --release -p kiln-bench --bin bake -- MODEL --out FILE"));
+        page.line("");
+        page.line(&format!(
+            "{}: {} triangles onto {}, object-space normals, outermost hits, {} x {} samples, {} threads, median of {} runs; trees are built within \
+             the clock on both sides.",
+            name(path),
+            high.face_count(),
+            level.face_count(),
+            ask.samples,
+            ask.samples,
+            ask.threads,
+            ask.runs
+        ));
+        page.line("");
+    }
     page.head(&[
         "size, directions",
         ":covered",
@@ -106,7 +128,7 @@ fn compare(path: &Path, ask: &Ask) -> Result<(), String> {
             row(&high, &low, *size, directions, ask, &mut page)?;
         }
     }
-    Ok(())
+    page.finish()
 }
 
 fn row(high: &Mesh, low: &LodSet, size: u32, directions: Directions, ask: &Ask, page: &mut Page) -> Result<(), String> {
@@ -257,14 +279,14 @@ fn save(
         let (bytes, _) = export_glb(&one, &plain, &[], ExportLevels::All).map_err(|e| e.to_string())?;
         std::fs::write(folder.join(format!("{name}.glb")), bytes).map_err(|e| e.to_string())?;
     }
-    let name = if directions == Directions::Face { "face" } else { "smooth" };
+    let file_name = if directions == Directions::Face { "face" } else { "smooth" };
     let mut header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({size}, {size}, 4), }}");
     // The header's end is aligned to 64 bytes and is a newline.
     while (10 + header.len() + 1) % 64 != 0 {
         header.push(' ');
     }
     header.push('\n');
-    let mut file = std::fs::File::create(folder.join(format!("{name}.npy"))).map_err(|e| e.to_string())?;
+    let mut file = std::fs::File::create(folder.join(format!("{file_name}.npy"))).map_err(|e| e.to_string())?;
     let mut write = |bytes: &[u8]| file.write_all(bytes).map_err(|e| e.to_string());
     write(b"\x93NUMPY\x01\x00")?;
     write(&(header.len() as u16).to_le_bytes())?;

@@ -162,12 +162,15 @@ impl Evaluator<'_> {
         }
     }
 
-    /// How open the high surface is at each hit of a row; `place`: the row's first sample, `whole`: samples a row of the sheet has.
-    pub(crate) fn look_out(&self, occluder: &Occluder<'_>, place: [u32; 2], whole: u32, row: &mut Row) {
+    /// How open the high surface is at each hit of a row. `place`: the row's first sample. The samples of a texel share its rays.
+    pub(crate) fn look_out(&self, occluder: &Occluder<'_>, place: [u32; 2], row: &mut Row) {
+        let (size, samples) = (self.options.size, self.options.samples);
         row.open.clear();
         row.open.extend(row.hits.iter().map(|(column, hit)| {
-            let seed = place[1].wrapping_mul(whole).wrapping_add(place[0] + column);
-            occluder.at(self.place(hit), self.geometric(hit), hit.high as u32, seed)
+            let (x, y) = (place[0] + column, place[1]);
+            let seed = (y / samples).wrapping_mul(size).wrapping_add(x / samples);
+            let part = [(y % samples) * samples + x % samples, samples * samples];
+            occluder.part_at(self.place(hit), self.geometric(hit), hit.high as u32, seed, part)
         }));
     }
 

@@ -259,7 +259,9 @@ impl<'a> Pass<'a> {
         let occluder = if planned.iter().any(|m| m.what.looks_out(self.options)) {
             let (high, reach) = (self.high, self.options.ray_length.unwrap_or(self.high.diagonal()));
             tree = kiln_geom::Bvh::new(&high.positions, &high.triangles);
-            Some(Occluder::new(&tree, &high.positions, &high.triangles, self.options.rays, reach))
+            // Every sample asks at least one.
+            let rays = self.options.rays.max(self.options.samples * self.options.samples);
+            Some(Occluder::new(&tree, &high.positions, &high.triangles, rays, reach))
         } else {
             None
         };
@@ -434,8 +436,7 @@ impl<'a> Pass<'a> {
             }
         }
         if let Some(occluder) = &evaluator.occluder {
-            let whole = self.sheet.size * self.sheet.samples;
-            evaluator.look_out(occluder, [rect.x0, rect.y0 + row as u32], whole, &mut bench.row);
+            evaluator.look_out(occluder, [rect.x0, rect.y0 + row as u32], &mut bench.row);
         }
     }
 

@@ -129,7 +129,7 @@ pub struct BakeOptions {
     pub matching: Matching,
     /// Where the occlusion map comes from.
     pub occlusion: OcclusionSource,
-    /// Rays for each sample's ambient occlusion and bent normal, 1 to 4096.
+    /// Rays for each texel's ambient occlusion and bent normal, 1 to 4096; at least one a sample.
     pub rays: u32,
     /// How far those rays go, object units. `None`: the high mesh's diagonal.
     pub ray_length: Option<f32>,

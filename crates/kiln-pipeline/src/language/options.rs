@@ -461,7 +461,7 @@ options! {
         "match" => matching: BakeMatch, default(BakeMatch::Prefer);
         /// Where the occlusion map comes from.
         "occlusion" => occlusion: BakeOcclusion, default(BakeOcclusion::Source);
-        /// Rays of a sample for ambient occlusion and bent normals.
+        /// Rays of a texel for ambient occlusion and bent normals; each of its samples asks at least one.
         "rays" => rays: u32, default(64), within 1..=4096;
         /// How far those rays go.
         "ray-length" => ray_length: Option<Length>, derived("1 diag");

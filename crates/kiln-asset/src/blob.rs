@@ -65,6 +65,12 @@ impl BlobWriter {
         self.0.extend_from_slice(bytemuck::cast_slice(values));
     }
 
+    /// BLAKE3 of the blob with one more array, without a copy of it.
+    pub fn hash_with<T: Pod>(mut self, values: &[T]) -> [u8; 32] {
+        self.0.extend((values.len() as u64).to_le_bytes());
+        *blake3::Hasher::new().update(&self.0).update(bytemuck::cast_slice(values)).finalize().as_bytes()
+    }
+
     /// Appends an array that may be absent.
     pub fn optional<T: Pod>(&mut self, values: Option<&[T]>) {
         self.0.push(values.is_some() as u8);

@@ -23,10 +23,20 @@ impl Raster {
 
     /// The picture as bytes for the private cache ([`crate::ImageFormat::Raster`]).
     pub fn to_blob(&self) -> Vec<u8> {
-        let mut blob = BlobWriter::new(*b"RAST", 1);
-        blob.array(&[self.width, self.height]);
+        let mut blob = self.head();
         blob.array(&self.texels);
         blob.finish()
+    }
+
+    /// BLAKE3 of those bytes.
+    pub fn blob_hash(&self) -> [u8; 32] {
+        self.head().hash_with(&self.texels)
+    }
+
+    fn head(&self) -> BlobWriter {
+        let mut blob = BlobWriter::new(*b"RAST", 1);
+        blob.array(&[self.width, self.height]);
+        blob
     }
 
     /// The picture out of [`Raster::to_blob`] bytes.
@@ -83,10 +93,20 @@ impl DeepRaster {
 
     /// The picture as bytes for the private cache ([`crate::ImageFormat::Deep`]).
     pub fn to_blob(&self) -> Vec<u8> {
-        let mut blob = BlobWriter::new(*b"DEEP", 1);
-        blob.meta(&(self.width, self.height, self.precision));
+        let mut blob = self.head();
         blob.array(&self.texels);
         blob.finish()
+    }
+
+    /// BLAKE3 of those bytes.
+    pub fn blob_hash(&self) -> [u8; 32] {
+        self.head().hash_with(&self.texels)
+    }
+
+    fn head(&self) -> BlobWriter {
+        let mut blob = BlobWriter::new(*b"DEEP", 1);
+        blob.meta(&(self.width, self.height, self.precision));
+        blob
     }
 
     /// The picture out of [`DeepRaster::to_blob`] bytes.

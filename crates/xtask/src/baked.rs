@@ -64,7 +64,7 @@ pub(crate) fn run(root: &Path) -> Result<(), String> {
          both cover, 24 views; *outlines*: share of the picture that only one covers.\n\n![FlightHelmet](../images/bake-helmet.png)\n\n\
          | model | triangles | materials | bake s | texels missed | surface | worst view | outlines |\n\
          | --- | --: | --: | --: | --: | --: | --: | --: |\n",
-        stamp(root)
+        stamp(root).replace("xtask long", "xtask baked")
     );
     for (k, (name, path)) in MODELS.iter().enumerate() {
         eprintln!("{name}");

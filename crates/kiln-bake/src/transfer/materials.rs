@@ -107,7 +107,7 @@ pub(crate) fn new_set(
             What::Extra(extra) => extra.name(),
         };
         let name = if several { format!("{name} {}", 1001 + sheet) } else { name.to_owned() };
-        let hash = *blake3::hash(&picture.to_blob()).as_bytes();
+        let hash = picture.blob_hash();
         let format = match picture {
             Picture::Plain(_) => ImageFormat::Raster,
             Picture::Deep(_) => ImageFormat::Deep,

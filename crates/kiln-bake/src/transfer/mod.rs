@@ -427,10 +427,17 @@ impl<'a> Pass<'a> {
         let hits = &mut bench.row.hits;
         hits.clear();
         let row_of = row * width..(row + 1) * width;
+        // The search knows where it met what it found; what else there is to know takes the line once more.
+        let quick = matches!(self.finder, Finder::Lines(_)) && needs == Needs::default() && !self.options.back_faces;
         let faces = bench.owners[row_of.clone()].iter().zip(&mut bench.winners[row_of]);
         for (column, (owner, winner)) in faces.enumerate().filter(|(_, (_, winner))| **winner != 0) {
             let sample = [rect.x0 + column as u32, rect.y0 + row as u32];
-            match locator.at(sample, *owner as usize - 1, *winner as usize - 1, needs) {
+            let (low, high) = (*owner as usize - 1, *winner as usize - 1);
+            let hit = match quick {
+                true => locator.met(sample, low, high, bench.scratch.met[row * width + column]),
+                false => locator.at(sample, low, high, needs),
+            };
+            match hit {
                 Some(hit) => hits.push((column as u32, hit)),
                 None => *winner = 0,
             }

@@ -228,6 +228,14 @@ impl Picture {
             Picture::Deep(raster) => raster.to_blob(),
         }
     }
+
+    /// BLAKE3 of those bytes.
+    pub fn blob_hash(&self) -> [u8; 32] {
+        match self {
+            Picture::Plain(raster) => raster.blob_hash(),
+            Picture::Deep(raster) => raster.blob_hash(),
+        }
+    }
 }
 
 /// What the bake did.

@@ -37,7 +37,7 @@ impl HitPoint {
 }
 
 /// What of a hit is to be worked out beside its place.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Needs {
     /// Its change from sample to sample.
     pub(crate) steps: bool,
@@ -120,14 +120,39 @@ impl<'a> Locator<'a> {
         Locator { low, high, meeting, kept, pair: [usize::MAX; 2], corners: [DVec3::ZERO; 3], flat: nowhere }
     }
 
-    /// The hit of a sample (column, row on the sheet of samples) of `low` whose winner is `high`. What is not
-    /// needed is 0. `None`: the low face has no lines.
+    /// The lines of a low face.
     #[inline(always)]
-    pub(crate) fn at(&mut self, sample: [u32; 2], low: usize, high: usize, needs: Needs) -> Option<HitPoint> {
+    fn lines(&mut self, low: usize) -> Option<&Lines> {
         let kept = &mut self.kept[low % KEPT];
         if kept.0 != low {
             *kept = (low, self.low.lines(low));
         }
+        kept.1.as_ref()
+    }
+
+    /// As [`Locator::at`] where nothing more is needed and the search has kept where it met a face that looks along the line:
+    /// barycentric coordinates 0 and 1.
+    #[inline(always)]
+    pub(crate) fn met(&mut self, sample: [u32; 2], low: usize, high: usize, [b0, b1]: [f32; 2]) -> Option<HitPoint> {
+        let samples = self.low.samples;
+        let lines = self.lines(low)?;
+        Some(HitPoint {
+            low,
+            high,
+            low_bary: lines.bary(lines.place(sample, samples)).map(|b| b as f32),
+            high_bary: inside([b0, b1, 1.0 - b0 - b1].map(f64::from)),
+            step_x: [0.0; 3],
+            step_y: [0.0; 3],
+            height: 0.0,
+            turned: false,
+        })
+    }
+
+    /// The hit of a sample (column, row on the sheet of samples) of `low` whose winner is `high`. What is not
+    /// needed is 0. `None`: the low face has no lines.
+    #[inline(always)]
+    pub(crate) fn at(&mut self, sample: [u32; 2], low: usize, high: usize, needs: Needs) -> Option<HitPoint> {
+        self.lines(low)?;
         let lines = self.kept[low % KEPT].1.as_ref()?;
         if self.pair != [low, high] {
             self.corners = self.high.face_positions(FaceId(high as u32)).map(|p| p.as_dvec3() - lines.base);

@@ -55,6 +55,8 @@ pub(crate) struct Scratch {
     found: Vec<u32>,
     pub(crate) candidates: Vec<Candidate>,
     keys: Vec<f64>,
+    /// `[samples of the bin]` where the winner was met: its barycentric coordinates 0 and 1. Only where there is one.
+    pub(crate) met: Vec<[f32; 2]>,
 }
 
 /// A high triangle as functions of the place on the sheet.
@@ -177,13 +179,14 @@ impl<'a> Search<'a> {
         winners.resize(owners.len(), 0);
         scratch.keys.clear();
         scratch.keys.resize(owners.len(), f64::INFINITY);
+        scratch.met.resize(owners.len(), [0.0; 2]);
         let mut pairs = 0;
         for face in faces.iter().map(|f| *f as usize) {
             let Some(lines) = low.lines(face) else { continue };
-            let Scratch { found, candidates, keys } = scratch;
+            let Scratch { found, candidates, keys, met } = scratch;
             self.gather(low, face, &lines, rect, found, candidates);
             pairs += candidates.len() as u64;
-            let mut bin = Bin { rect, owner: face as u32 + 1, samples: low.samples, owners, winners, keys };
+            let mut bin = Bin { rect, owner: face as u32 + 1, samples: low.samples, owners, winners, keys, met };
             for candidate in candidates.iter().filter(|c| !c.fallback) {
                 self.draw(&lines, candidate, &mut bin);
             }
@@ -246,6 +249,8 @@ impl<'a> Search<'a> {
                 if key < bin.keys[index] {
                     bin.keys[index] = key;
                     bin.winners[index] = candidate.high + 1;
+                    let share = 1.0 / sum;
+                    bin.met[index] = [(ea * share) as f32, (eb * share) as f32];
                 }
             }
         }
@@ -341,6 +346,7 @@ struct Bin<'a> {
     owners: &'a [u32],
     winners: &'a mut Vec<u32>,
     keys: &'a mut Vec<f64>,
+    met: &'a mut Vec<[f32; 2]>,
 }
 
 impl Bin<'_> {

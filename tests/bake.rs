@@ -5,7 +5,7 @@ use std::path::Path;
 
 use kiln_asset::{MapRole, Raster};
 
-use crate::space::{SMALL, Space, corpus, needs, repository};
+use crate::space::{SMALL, Space, corpus, needs, repository, small};
 
 /// The object-space normal map of a pipeline's container.
 fn normal_map(model: &Path, backend: &str) -> Raster {
@@ -69,5 +69,45 @@ fn gpu_and_cpu_agree_on_the_sphere() {
 fn gpu_and_cpu_agree_on_spot() {
     if let (true, Some(model)) = (has_vulkan(), corpus("gltf/Spot.glb")) {
         agree(&model);
+    }
+}
+
+/// Every chart of the cube has one colour, its side's normal in object space; `coverage` says where charts lie.
+#[test]
+fn no_mip_down_to_an_eighth_shows_a_foreign_charts_colour() {
+    let space = small("cube.glb");
+    let maps = "space = \"object\"\nmaps = [\"normal\", \"coverage\"]\ndilation = 8";
+    let text =
+        SMALL.replace("dilation = 2", maps).replace("padding = 4", "padding = 16").replace("size = 256", "size = 512");
+    space.write("pipeline.toml", text.replace("keep = 0.25", "keep = 1.0").replace(", { keep = 0.1 }", ""));
+    space.run(["build", "pipeline.toml", "--backend", "cpu"]).expect(0);
+    let bytes = kiln_format::AlignedBytes::copy_of(&space.read("out/model.kiln"));
+    let container = kiln_format::Container::open(&bytes).unwrap();
+    let (_, _, pictures) = kiln_pack::unpack_pictures(&bytes).unwrap();
+    let size = 512;
+    let mip = |k: usize| -> Vec<[u8; 4]> {
+        container.mip(0, k).unwrap().chunks_exact(4).map(|t| [t[0], t[1], t[2], t[3]]).collect()
+    };
+    let colours = mip(0);
+    let kiln_pack::Picture::Deep(coverage) = &pictures[1] else { panic!("shares have 16 bits") };
+    let inside: Vec<bool> = coverage.texels.iter().map(|t| t[0] > 0.0).collect();
+    let mut kinds: Vec<[u8; 4]> = (0..size * size).filter(|t| inside[*t]).map(|t| colours[t]).collect();
+    kinds.sort_unstable();
+    kinds.dedup();
+    assert_eq!(kinds.len(), 6, "{kinds:?}");
+    for level in 1..=3 {
+        let (block, side) = (1 << level, size >> level);
+        let texels = mip(level);
+        let mut seen = 0;
+        for (index, texel) in texels.iter().enumerate() {
+            let (x, y) = (index % side * block, index / side * block);
+            let places = (0..block * block).map(|k| (y + k / block) * size + x + k % block);
+            for place in places.filter(|place| inside[*place]) {
+                let off = (0..3).map(|c| texel[c].abs_diff(colours[place][c])).max().unwrap();
+                assert!(off <= 1, "mip {level}: {texel:?} where the chart has {:?}", colours[place]);
+                seen += 1;
+            }
+        }
+        assert!(seen > size * size / 4, "{seen} texels looked at");
     }
 }

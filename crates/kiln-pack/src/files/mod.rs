@@ -24,6 +24,7 @@ mod ktx2;
 mod png;
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use kiln_asset::Precision;
 use kiln_format::{Channel, Container, TextureFormat};
@@ -63,6 +64,9 @@ pub struct TextureFile {
     pub stem: String,
     /// What it will be.
     pub format: FileFormat,
+    /// Normal maps of materials are written with y down in the picture, as some engines read them. Not for KTX2, whose bytes are the
+    /// container's.
+    pub normals_down: bool,
 }
 
 impl TextureFile {
@@ -89,7 +93,12 @@ pub fn texture_files(container: &Container<'_>, format: Option<FileFormat>) -> R
             unfit.push(format!("{name:?}"));
         }
         let natural = if floats { FileFormat::Exr } else { FileFormat::Png };
-        files.push(TextureFile { texture, stem: stem(name, &mut taken), format: format.unwrap_or(natural) });
+        files.push(TextureFile {
+            texture,
+            stem: stem(name, &mut taken),
+            format: format.unwrap_or(natural),
+            normals_down: false,
+        });
     }
     if unfit.is_empty() {
         return Ok(files);
@@ -132,14 +141,33 @@ pub fn texture_file(container: &Container<'_>, file: &TextureFile, mips: bool) -
     let fail = |message: String| PackError::Image { image: number as u32, name: name(), message };
     let (format, channels) = texels_of(record).ok_or_else(|| fail("its format is not registered".into()))?;
     let planes = planes(channels, format);
+    let turned = channels.iter().position(|channel| *channel == Channel::NormalY).filter(|_| file.normals_down);
     match file.format {
         FileFormat::Ktx2 => ktx2::encode(container, number, format).map_err(fail),
-        FileFormat::Png => png::encode(&mip_picture(container, number, 0)?, planes).map_err(fail),
+        FileFormat::Png => {
+            let mut picture = mip_picture(container, number, 0)?;
+            match (&mut picture, turned) {
+                (_, None) => {}
+                (Picture::Plain(raster), Some(c)) => {
+                    Arc::make_mut(raster).texels.iter_mut().for_each(|texel| texel[c] = 255 - texel[c]);
+                }
+                (Picture::Deep(raster), Some(c)) => turn(&mut Arc::make_mut(raster).texels, c),
+            }
+            png::encode(&picture, planes).map_err(fail)
+        }
         FileFormat::Exr => {
-            let levels = texture_levels(container, number, mips)?;
+            let mut levels = texture_levels(container, number, mips)?;
+            if let Some(c) = turned {
+                levels.iter_mut().for_each(|level| turn(&mut level.texels, c));
+            }
             exr::encode(&levels, planes, mips).map_err(fail)
         }
     }
+}
+
+/// The other sign of a vector's component that is held as `(v + 1) / 2`.
+fn turn(texels: &mut [[f32; 4]], channel: usize) {
+    texels.iter_mut().for_each(|texel| texel[channel] = 1.0 - texel[channel]);
 }
 
 /// One level of a texture in linear floats.

@@ -68,6 +68,28 @@ fn png_holds_the_values_of_the_container() {
 }
 
 #[test]
+fn normals_that_point_down_have_green_turned_and_nothing_else() {
+    let bytes = raw();
+    let container = Container::open(&bytes).expect("sound");
+    for format in [FileFormat::Png, FileFormat::Exr] {
+        for mut file in texture_files(&container, None).expect("any fits") {
+            file.format = if file.format == FileFormat::Exr { FileFormat::Exr } else { format };
+            let up = texture_file(&container, &file, false).expect("is written");
+            file.normals_down = true;
+            let down = texture_file(&container, &file, false).expect("is written");
+            // "fine" is the normal map, of 16 bits.
+            assert_eq!(up != down, file.stem == "fine", "{}", file.file_name());
+            if file.stem == "fine" && format == FileFormat::Png {
+                let rgb = |png: &[u8]| image::load_from_memory(png).expect("a PNG").into_rgb16();
+                for (a, b) in rgb(&up).pixels().zip(rgb(&down).pixels()) {
+                    assert_eq!([a.0[0], 65_535 - a.0[1], a.0[2]], b.0);
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn png_of_blocks_is_what_the_blocks_decode_to() {
     let bytes = blocks();
     let container = Container::open(&bytes).expect("sound");

@@ -170,6 +170,9 @@ pub(crate) struct ExportArgs {
     /// With `--format exr`: all mips, in tiles of 64 x 64
     #[arg(long, requires = "format")]
     pub(crate) mips: bool,
+    /// Write normal maps with y down in the picture (green turned), as some engines read them; for png and exr
+    #[arg(long, requires = "textures")]
+    pub(crate) normals_down: bool,
 }
 
 /// Formats of `kiln export --textures`.

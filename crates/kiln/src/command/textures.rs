@@ -18,6 +18,9 @@ pub(super) fn export(args: &ExportArgs, folder: &Path, bytes: &[u8]) -> Exit {
     if args.mips && args.format != Some(FileFormatArg::Exr) {
         return complain(Exit::Usage, "`--mips` goes with `--format exr`: ktx2 and tx have all mips, png has one");
     }
+    if args.normals_down && matches!(args.format, Some(FileFormatArg::Ktx2 | FileFormatArg::Tx)) {
+        return complain(Exit::Usage, "`--normals-down` goes with png and exr: ktx2 holds the container's own bytes");
+    }
     match write_all(args, folder, bytes) {
         Ok(()) => Exit::Done,
         Err(exit) => exit,
@@ -35,7 +38,8 @@ fn write_all(args: &ExportArgs, folder: &Path, bytes: &[u8]) -> Result<(), Exit>
         Some(FileFormatArg::Ktx2) => Some(FileFormat::Ktx2),
         Some(FileFormatArg::Tx) => return tx(args, folder, &container),
     };
-    let files = texture_files(&container, format).map_err(fail)?;
+    let mut files = texture_files(&container, format).map_err(fail)?;
+    files.iter_mut().for_each(|file| file.normals_down = args.normals_down);
     make_folder(folder)?;
     for file in &files {
         let bytes = texture_file(&container, file, args.mips).map_err(fail)?;

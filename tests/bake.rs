@@ -111,3 +111,30 @@ fn no_mip_down_to_an_eighth_shows_a_foreign_charts_colour() {
         assert!(seen > size * size / 4, "{seen} texels looked at");
     }
 }
+
+#[test]
+fn a_cage_is_a_model_of_its_own_that_only_the_bake_depends_on() {
+    let space = small("cube.glb");
+    space.write("cages/model.glb", std::fs::read(repository("fixtures/sphere.glb")).unwrap());
+    let with = SMALL.replace("dilation = 2", "dilation = 2\ncage = \"cages/{name}.glb\"");
+    space.write("pipeline.toml", &with);
+    let args = ["build", "pipeline.toml", "--backend", "cpu", "--json"];
+    let ran = |space: &Space| -> Vec<String> {
+        let report = space.run(args).expect(0).json();
+        let stages = report["assets"][0]["stages"].as_array().unwrap().iter();
+        let ran = stages.filter(|s| s["state"] == "ran").map(|s| s["stage"].as_str().unwrap().to_owned());
+        ran.collect()
+    };
+    assert!(ran(&space).contains(&"bake, cage".to_owned()));
+    space.write("cages/model.glb", std::fs::read(repository("fixtures/cube.glb")).unwrap());
+    let again = ran(&space);
+    // The cube was imported before, as the model: that is not done again. Nothing else looks at the cage, and the same bake follows.
+    assert!(again.contains(&"bake".to_owned()), "{again:?}");
+    assert!(again.iter().all(|s| ["bake", "pack"].contains(&s.as_str())), "{again:?}");
+    // A cage that is not there is named, and the last good container stays.
+    let container = space.read("out/model.kiln");
+    std::fs::remove_file(space.path("cages/model.glb")).unwrap();
+    let failed = space.run(args);
+    assert!(failed.code != 0 && format!("{failed:?}").contains("cages/model.glb"), "{failed:?}");
+    assert_eq!(space.read("out/model.kiln"), container);
+}

@@ -111,6 +111,14 @@ impl<'a> Pass<'a> {
                 }
             }
             Method::Correspondence => {
+                // A repeated layout has several places for one texel.
+                let outside = |uv: &glam::Vec2| !(uv.cmpge(glam::Vec2::ZERO) & uv.cmple(glam::Vec2::ONE)).all();
+                let count = uv.iter().filter(|uv| outside(uv)).count();
+                if input.low.layout.is_none() && count > 0 {
+                    return Err(BakeError::Layouts(format!(
+                        "{count} vertices of the low mesh lie outside of the layout's square; a repeated layout says nothing"
+                    )));
+                }
                 // The atlas if both carry it, else the model's own layout.
                 let carried = high.atlas_uv.as_deref().filter(|_| input.low.levels[0].mesh.atlas_uv.is_some());
                 let uv = carried.or(high.uv0.as_deref());

@@ -372,6 +372,14 @@ fn a_shared_layout_needs_no_lines() {
     let mut away = raw.clone();
     away.uv0.as_mut().unwrap().iter_mut().for_each(|uv| uv.x += 3.0);
     assert!(matches!(go(&valid(away)), Err(BakeError::Layouts(_))));
+    // Nor does a layout that repeats beyond its square.
+    let mut repeated = low.clone();
+    repeated.layout = None;
+    let mut mesh = repeated.levels[0].mesh.clone().into_raw();
+    mesh.atlas_uv.as_mut().unwrap().iter_mut().for_each(|uv| uv.x *= 2.0);
+    repeated.levels[0].mesh = valid(mesh);
+    let input = BakeInput { high: &high, low: &repeated, materials: &set, images: &no_images, cage: None };
+    assert!(matches!(super::super::bake(&input, &options, Backend::Cpu), Err(BakeError::Layouts(_))));
     let mut without = raw;
     without.uv0 = None;
     assert!(matches!(go(&valid(without)), Err(BakeError::Layouts(_))));

@@ -212,10 +212,12 @@ impl<'a> Pass<'a> {
     }
 
     pub(super) fn account(&self, counts: Counts, report: &mut BakeReport) {
-        let odd = |count: fn(&low::Oddities) -> bool| {
-            let faces = (0..self.low.mesh.face_count()).into_par_iter().filter(|f| self.low.holds(*f));
-            faces.filter(|f| count(&self.low.oddities(*f))).count() as u64
-        };
+        let faces = (0..self.low.mesh.face_count()).into_par_iter().filter(|face| self.low.holds(*face));
+        let odd = faces.map(|face| {
+            let low::Oddities { sliver, flat, steep, crossing } = self.low.oddities(face);
+            [sliver, flat, steep, crossing].map(u64::from)
+        });
+        let [slivers, flat, steep, crossing] = odd.reduce(|| [0; 4], |a, b| std::array::from_fn(|k| a[k] + b[k]));
         report.backend.clone_from(&self.backend);
         report.owned += counts.owned;
         report.covered += counts.covered;
@@ -223,10 +225,10 @@ impl<'a> Pass<'a> {
         report.overlapping += counts.overlaps.div_ceil(u64::from(self.sheet.samples * self.sheet.samples));
         report.behind += counts.behind;
         report.pairs += counts.pairs;
-        report.sliver_faces += odd(|o| o.sliver);
-        report.flat_faces += odd(|o| o.flat);
-        report.steep_faces += odd(|o| o.steep);
-        report.crossing_faces += odd(|o| o.crossing);
+        report.sliver_faces += slivers;
+        report.flat_faces += flat;
+        report.steep_faces += steep;
+        report.crossing_faces += crossing;
     }
 
     /// Visits all rows of bins, each with its part of `bands`, in parallel; in stripes where a device finds the winners.

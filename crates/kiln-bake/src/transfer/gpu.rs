@@ -305,7 +305,7 @@ impl Cells<'_> {
         let bins: Vec<[u32; 2]> = self.each().filter(|[x, y]| !self.sheet.faces(*x, *y).is_empty()).collect();
         let own = |[x, y]: [u32; 2]| {
             let (rect, mut owners) = (self.samples(x, y), Vec::new());
-            let overlaps = self.sheet.own(low, self.sheet.faces(x, y), rect, &mut owners);
+            let overlaps = self.sheet.own(low, [x, y], rect, &mut owners);
             (rect, owners, overlaps)
         };
         let mut overlaps = 0;

@@ -6,7 +6,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::options::{Backend, BakeError, BakeInput, BakeOptions, BakeReport};
-use super::pass::{Counts, Pass};
+use super::pass::{Counts, Pass, Tree};
 use super::reach;
 use super::resolve::{self, Needs};
 
@@ -38,7 +38,7 @@ pub fn find_hits<'a>(
         return Err(BakeError::Option { name: "samples", found, expected });
     }
     let reach = reach(input.high, input.low.levels[0].error, options);
-    let pass = Pass::new(input, finest, 0, options, reach, backend)?;
+    let pass = Pass::new(input, &Tree::of(input.high), finest, 0, options, reach, backend)?;
     let size = pass.sheet.size as usize;
     let (mut low_faces, mut high_faces) = (vec![0u32; size * size], vec![0u32; size * size]);
     let rows = pass.sheet.side as usize * size;

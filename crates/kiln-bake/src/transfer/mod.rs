@@ -57,7 +57,7 @@ use crate::tangents::{self, UvSource};
 use evaluate::{Planned, What};
 use maps::RoleSource;
 use materials::{Groups, is_neutral, material_of};
-use pass::Pass;
+use pass::{Pass, Tree};
 
 pub use hit_buffer::{HitBuffer, find_hits};
 pub use options::{
@@ -105,9 +105,10 @@ pub fn bake(input: &BakeInput<'_>, options: &BakeOptions, backend: Backend<'_>) 
         extras: ExtraMap::ALL.iter().copied().filter(|e| options.extras.contains(e)).collect(),
         ..BakeReport::default()
     };
+    let tree = Tree::of(high);
     let mut pictures = Vec::new();
     for sheet in 0..sheets {
-        let pass = Pass::new(input, finest, sheet, options, reach, backend)?;
+        let pass = Pass::new(input, &tree, finest, sheet, options, reach, backend)?;
         pictures.extend(pass.bake(&groups, &planned, &mut report)?);
     }
     let set = materials::new_set(finest, materials, &groups, &planned, &pictures, options);

@@ -1,8 +1,10 @@
 //! One sheet's pass over the surface: owners, winners and values of a bin, rows of bins in parallel.
 
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use kiln_asset::{ExtraMap, MapRole, Mesh};
+use kiln_geom::Bvh;
 use kiln_geom::raster::Rect;
 use rayon::prelude::*;
 
@@ -19,8 +21,26 @@ use super::sheet::Sheet;
 use crate::dilation::Fill;
 use crate::occlusion::Occluder;
 
+/// The tree over the high mesh: built once, when somebody first asks for it, for all sheets.
+#[derive(Clone)]
+pub(super) struct Tree<'a> {
+    high: &'a Mesh,
+    built: Arc<OnceLock<Arc<Bvh>>>,
+}
+
+impl<'a> Tree<'a> {
+    pub(super) fn of(high: &'a Mesh) -> Tree<'a> {
+        Tree { high, built: Arc::default() }
+    }
+
+    fn get(&self) -> Arc<Bvh> {
+        Arc::clone(self.built.get_or_init(|| Arc::new(Bvh::new(&self.high.positions, &self.high.triangles))))
+    }
+}
+
 /// One sheet of the finest level, ready to be baked.
 pub(super) struct Pass<'a> {
+    tree: Tree<'a>,
     pub(super) high: &'a Mesh,
     pub(super) low: Low<'a>,
     pub(super) sheet: Sheet,
@@ -77,9 +97,10 @@ impl std::ops::Add for Counts {
 }
 
 impl<'a> Pass<'a> {
-    /// `finest`: of the levels, with `atlas_uv`.
+    /// `tree`: over the high mesh. `finest`: of the levels, with `atlas_uv`.
     pub(super) fn new(
         input: &BakeInput<'a>,
+        tree: &Tree<'a>,
         finest: &'a Mesh,
         sheet: u32,
         options: &'a BakeOptions,
@@ -101,7 +122,7 @@ impl<'a> Pass<'a> {
         }
         let finder = match options.method {
             Method::MirroredVertex => {
-                let search = Search::new(high, finest, options);
+                let search = Search::new(high, tree.get(), finest, options);
                 match backend {
                     Backend::Cpu => Finder::Lines(search),
                     Backend::Gpu(gpu) => {
@@ -131,7 +152,8 @@ impl<'a> Pass<'a> {
             Backend::Gpu(gpu) => gpu.class().to_string(),
         };
         let sheet = Sheet::new(&low);
-        Ok(Pass { high, low, sheet, finder, charts: charts::charts(finest, uv), options, backend })
+        let tree = tree.clone();
+        Ok(Pass { tree, high, low, sheet, finder, charts: charts::charts(finest, uv), options, backend })
     }
 
     /// All maps of the sheet, in the order of `planned`; counts are added to `report`.
@@ -154,7 +176,7 @@ impl<'a> Pass<'a> {
         let tree;
         let occluder = if planned.iter().any(|m| m.what.looks_out(self.options)) {
             let (high, reach) = (self.high, self.options.ray_length.unwrap_or(self.high.diagonal()));
-            tree = kiln_geom::Bvh::new(&high.positions, &high.triangles);
+            tree = self.tree.get();
             // Every sample asks at least one.
             let rays = self.options.rays.max(self.options.samples * self.options.samples);
             Some(Occluder::new(&tree, &high.positions, &high.triangles, rays, reach))
@@ -268,7 +290,7 @@ impl<'a> Pass<'a> {
             stripe.copy(x, rect, &mut bench.owners, &mut bench.winners);
             return Counts::default();
         }
-        let overlaps = self.sheet.own(&self.low, faces, rect, &mut bench.owners);
+        let overlaps = self.sheet.own(&self.low, [x, y], rect, &mut bench.owners);
         let (pairs, double) = match &self.finder {
             Finder::Lines(search) | Finder::Device(search, _) => {
                 let found = search.find(&self.low, faces, rect, &bench.owners, &mut bench.winners, &mut bench.scratch);

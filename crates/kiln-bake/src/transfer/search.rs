@@ -13,6 +13,8 @@
 //! Watertight: two triangles that share an edge evaluate the same polynomial with opposite sign, bit for bit, and both are opened by
 //! a bound on its rounding; so every line through an edge or a corner meets at least one of them.
 
+use std::sync::Arc;
+
 use glam::{DVec2, DVec3};
 use kiln_asset::{FaceId, Mesh, SubmeshId};
 use kiln_geom::Bvh;
@@ -41,7 +43,7 @@ pub(crate) struct Candidate {
 /// The high mesh, ready to be searched.
 pub(crate) struct Search<'a> {
     pub(crate) high: &'a Mesh,
-    bvh: Bvh,
+    bvh: Arc<Bvh>,
     pub(crate) hit: HitRule,
     pub(crate) back_faces: bool,
     matching: Matching,
@@ -97,17 +99,11 @@ impl Target {
 }
 
 impl<'a> Search<'a> {
-    pub(crate) fn new(high: &'a Mesh, low: &Mesh, options: &BakeOptions) -> Search<'a> {
+    /// `bvh`: the tree over `high`.
+    pub(crate) fn new(high: &'a Mesh, bvh: Arc<Bvh>, low: &Mesh, options: &BakeOptions) -> Search<'a> {
         let named = |l: &kiln_asset::Submesh| high.submeshes.iter().position(|h| h.name == l.name);
         let same = low.submeshes.iter().map(|l| named(l).map(|s| SubmeshId(s as u32))).collect();
-        Search {
-            high,
-            bvh: Bvh::new(&high.positions, &high.triangles),
-            hit: options.hit,
-            back_faces: options.back_faces,
-            matching: options.matching,
-            same,
-        }
+        Search { high, bvh, hit: options.hit, back_faces: options.back_faces, matching: options.matching, same }
     }
 
     /// Corners of a high face relative to `base`.

@@ -131,9 +131,13 @@ impl Sheet {
         Rect { x0: first(x0), y0: first(y0), x1: end(x1), y1: end(y1) }
     }
 
-    /// `owners` becomes `[rows x columns]` of `rect` (samples): low face + 1 that owns the sample, 0 = none. The number of samples that
-    /// a second face covers too, those of the filter's border aside.
-    pub(crate) fn own(&self, low: &Low<'_>, faces: &[u32], rect: Rect, owners: &mut Vec<u32>) -> u64 {
+    /// `owners` becomes `[rows x columns]` of `rect` (samples): low face + 1 that owns the sample, 0 = none. `bin`: whose samples they are.
+    /// How often another face covers one of the bin's own samples too; those of the filter's border are its neighbours' to count.
+    pub(crate) fn own(&self, low: &Low<'_>, bin: [u32; 2], rect: Rect, owners: &mut Vec<u32>) -> u64 {
+        let faces = self.faces(bin[0], bin[1]);
+        let inner = self.texels(bin[0], bin[1]);
+        let columns = inner.x0 * self.samples..inner.x1 * self.samples;
+        let rows = inner.y0 * self.samples..inner.y1 * self.samples;
         let width = (rect.x1 - rect.x0) as usize;
         owners.clear();
         owners.resize(width * (rect.y1 - rect.y0) as usize, 0);
@@ -144,11 +148,11 @@ impl Sheet {
             rasterise_spans(corners, rect, |span| {
                 let row = (span.y - rect.y0) as usize * width;
                 let run = row + (span.x0 - rect.x0) as usize..row + (span.x1 - rect.x0) as usize;
-                for owner in &mut owners[run] {
+                for (x, owner) in (span.x0..).zip(&mut owners[run]) {
                     if *owner == 0 {
                         *owner = face + 1;
                     } else {
-                        overlaps += 1;
+                        overlaps += u64::from(columns.contains(&x) && rows.contains(&span.y));
                     }
                 }
             });

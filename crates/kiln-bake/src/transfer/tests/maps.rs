@@ -123,6 +123,12 @@ fn a_mirrored_strip_lights_the_same_on_both_halves() {
     let set = one_level(low.clone(), 64, 0);
     let baked = bake_floats(&high, &set, &MaterialSet::default(), &options);
     assert_eq!(baked.report.overlapping, 64 * 64, "the lower faces own, the others share");
+    for samples in [2, 4] {
+        // The sheet is several bins wide, whose filters reach into each other: nothing is counted twice.
+        let options = BakeOptions { size: 192, samples, ..options.clone() };
+        let report = bake_floats(&high, &set, &MaterialSet::default(), &options).report;
+        assert_eq!(report.overlapping, 192 * 192, "{samples} x {samples} samples");
+    }
     let Picture::Plain(map) = &baked.pictures[0] else { panic!("8 bits") };
     let (normals, tangents) = (low.normals.as_ref().unwrap(), low.tangents.as_ref().unwrap());
     let read = |face: usize, bary: [f32; 3], texel: usize| {

@@ -8,6 +8,7 @@ use std::sync::OnceLock;
 
 use glam::{DVec2, DVec3, Vec2, Vec3};
 use kiln_asset::{ExtraMap, FaceId, Mesh, RawMesh};
+use kiln_geom::Bvh;
 use kiln_geom::math::{cos, sin};
 use kiln_gpu::Gpu;
 
@@ -186,6 +187,10 @@ fn angles(models: &Models, options: &BakeOptions, gpu: &Gpu) -> (f64, f32, usize
     angles.sort_by(f32::total_cmp);
     let mean = angles.iter().map(|a| f64::from(*a)).sum::<f64>() / angles.len() as f64;
     (mean, angles[angles.len() * 99 / 100], angles.len())
+}
+
+fn tree_of(mesh: &Mesh) -> Arc<Bvh> {
+    Arc::new(Bvh::new(&mesh.positions, &mesh.triangles))
 }
 
 #[test]
@@ -391,7 +396,7 @@ fn on_a_device_too_the_lower_face_wins_at_equal_distance() {
 fn winners(gpu: &Gpu, models: &Models, options: &BakeOptions, portions: Portions) -> (Vec<u32>, u64) {
     let reach = models.reach[0];
     let low = Low::new(&models.low, models.low.atlas_uv.as_ref().unwrap(), 0, options, [reach; 2]);
-    let (sheet, search) = (Sheet::new(&low), Search::new(&models.high, &models.low, options));
+    let (sheet, search) = (Sheet::new(&low), Search::new(&models.high, tree_of(&models.high), &models.low, options));
     let device = HitPass::new(gpu, &search, portions).unwrap();
     let whole = (sheet.size * sheet.samples) as usize;
     let (mut all, mut pairs) = (vec![0; whole * whole], 0);
@@ -406,7 +411,7 @@ fn winners(gpu: &Gpu, models: &Models, options: &BakeOptions, portions: Portions
             let rect = sheet.samples(x, y);
             stripe.copy(x, rect, &mut owners, &mut winners);
             let mut own = Vec::new();
-            sheet.own(&low, sheet.faces(x, y), rect, &mut own);
+            sheet.own(&low, [x, y], rect, &mut own);
             assert!(own == owners, "owners of bin {x}, {y}");
             search.find(&low, sheet.faces(x, y), rect, &own, &mut twins, &mut scratch);
             differ += twins.iter().zip(&winners).filter(|(a, b)| a != b).count();
@@ -452,7 +457,7 @@ fn stripes_hold_as_much_as_they_may_and_at_least_a_row_of_bins() {
     let Some(gpu) = gpu() else { return };
     let models = models().swap_remove(0);
     let options = options_for(&models, Directions::Smooth, HitRule::Outermost, 1);
-    let search = Search::new(&models.high, &models.low, &options);
+    let search = Search::new(&models.high, tree_of(&models.high), &models.low, &options);
     let device = HitPass::new(gpu, &search, Portions::default()).unwrap();
     let rows = |size, samples| {
         let options = BakeOptions { size, samples, ..options.clone() };

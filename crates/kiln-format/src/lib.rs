@@ -29,6 +29,7 @@ mod content;
 mod envelope;
 pub mod error;
 pub mod kind;
+pub mod layout;
 mod provenance;
 pub mod record;
 #[cfg(test)]
@@ -40,6 +41,7 @@ pub use container::{Container, Indices, LevelView, Section, check};
 pub use content::full_mip_count;
 pub use error::{CheckReport, Code, FormatError};
 pub use kind::{Channel, ErrorKind, Extra, Kind, Role, Semantic, TextureFormat, VertexFormat};
+pub use layout::{ClusterView, CompactTreeView, Layouts, TreeLeafView, WindowView};
 pub use provenance::Provenance;
 pub use record::{DrawRange, LevelRecord, MaterialRecord, MipRecord, SlotRecord, SubmeshRecord, TextureRecord};
 pub use write::{Content, LevelContent, PrivateSection, SubmeshContent, TextureContent, write};

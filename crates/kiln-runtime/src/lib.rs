@@ -19,8 +19,13 @@
 //! file itself waits for the chapter on streaming: the standard library cannot map, and the crate has no dependency but the
 //! format.
 
+pub mod clusters;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 mod material;
+pub mod tree;
 mod view;
+pub mod window;
 
 pub use kiln_format::{
     AlignedBytes, Channel, DrawRange, Extra, FormatError, Indices, LevelView, Provenance, Role, Semantic,

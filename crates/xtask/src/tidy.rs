@@ -21,7 +21,8 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("kiln-lod", &["kiln-geom", "kiln-asset", "kiln-gpu", "kiln-shaders"]),
     ("kiln-bake", &["kiln-geom", "kiln-asset", "kiln-gpu", "kiln-shaders", "kiln-xatlas"]),
     ("kiln-measure", &["kiln-geom", "kiln-asset", "kiln-gpu", "kiln-shaders"]),
-    ("kiln-runtime", &["kiln-format", "kiln-shaders"]),
+    ("kiln-runtime", &["kiln-format", "kiln-gpu", "kiln-shaders"]),
+    ("kiln-capi", &["kiln-format", "kiln-runtime"]),
     ("kiln-pack", &["kiln-asset", "kiln-format", "kiln-lod", "kiln-geom"]),
     (
         "kiln-pipeline",
@@ -117,7 +118,9 @@ fn default_dependencies(metadata: &Metadata, findings: &mut Vec<String>) {
             findings.push(format!("default dependency {} {} wants a system tool", package.name, package.version));
         }
         for dependency in nodes.get(id).map(|n| n.deps.as_slice()).unwrap_or_default() {
-            if seen.insert(&dependency.pkg) {
+            // It has its sources with it and asks for the system's library only where an environment variable says so.
+            let unused = package.name.as_str() == "zstd-sys" && metadata[&dependency.pkg].name.as_str() == "pkg-config";
+            if !unused && seen.insert(&dependency.pkg) {
                 queue.push_back(&dependency.pkg);
             }
         }

@@ -1,0 +1,1 @@
+//! The runtime as a C library with a generated header.

@@ -1,0 +1,1 @@
+//! The octree of Kanaya et al.

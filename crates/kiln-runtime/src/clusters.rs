@@ -1,0 +1,1 @@
+//! Cluster DAG: which clusters to draw for a view.

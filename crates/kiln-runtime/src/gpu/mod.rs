@@ -1,0 +1,4 @@
+//! Hosts of the picking passes on wgpu.
+
+pub mod tree;
+pub mod window;

@@ -1,0 +1,1 @@
+//! Tree and leaf buffers on the GPU.

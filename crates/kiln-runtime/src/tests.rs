@@ -11,6 +11,7 @@ fn container(errors: &[f32]) -> AlignedBytes {
         arrays: vec![(Semantic::Positions, &bytes)],
         indices: &[0, 1, 2],
         index_counts: vec![3],
+        shares_vertices: false,
     };
     let submesh = SubmeshContent { name: "all".into(), material: None, attributes: 2, source_triangles: 1 };
     let levels = errors.iter().map(level).collect();

@@ -3,7 +3,7 @@
 use kiln_asset::{Mesh, SubmeshId};
 use rayon::prelude::*;
 
-use super::order::death;
+use super::order::{death, inverse};
 use super::{SlidingWindow, WindowError};
 use crate::checkpoint::Checkpoint;
 use crate::simplify::error::Surface;
@@ -20,8 +20,7 @@ impl SlidingWindow {
     /// Another number of vertices or faces, or faces that vanish in another order.
     pub fn apply(&self, level0: &Mesh) -> Result<Mesh, WindowError> {
         self.check_counts(level0)?;
-        let mut new_of = vec![0; self.order.len()];
-        self.order.iter().zip(0..).for_each(|(old, new)| new_of[*old as usize] = new);
+        let new_of = inverse(&self.order);
         let reordered = |f: &u32| level0.triangles[*f as usize].map(|v| new_of[v as usize]);
         let triangles: Vec<[u32; 3]> = self.faces.iter().map(reordered).collect();
         let face_submesh = self.faces.iter().map(|f| level0.face_submesh[*f as usize]).collect();
@@ -139,9 +138,7 @@ impl SlidingWindow {
         // A level from which nothing is gone keeps the vertices that no face uses.
         let mut used = vec![drawn.len() == self.face_count(); self.vertex_count()];
         triangles.iter().flatten().for_each(|v| used[*v as usize] = true);
-        let mut new_of = vec![0; self.vertex_count()];
-        self.order.iter().zip(0..).for_each(|(old, new)| new_of[*old as usize] = new);
-        let keep: Vec<u32> = new_of.into_iter().filter(|v| used[*v as usize]).collect();
+        let keep: Vec<u32> = inverse(&self.order).into_iter().filter(|v| used[*v as usize]).collect();
         let mut place = vec![0; self.vertex_count()];
         keep.iter().zip(0..).for_each(|(v, new)| place[*v as usize] = new);
         triangles.par_iter_mut().for_each(|t| *t = t.map(|v| place[v as usize]));

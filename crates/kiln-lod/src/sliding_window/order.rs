@@ -67,7 +67,8 @@ fn check_sequence(mesh: &Mesh, sequence: &CollapseSequence, done: usize) -> Resu
     }
 }
 
-fn inverse(order: &[u32]) -> Vec<u32> {
+/// For each value of a permutation its place.
+pub(super) fn inverse(order: &[u32]) -> Vec<u32> {
     let mut new_of = vec![0; order.len()];
     order.iter().zip(0..).for_each(|(old, new)| new_of[*old as usize] = new);
     new_of

@@ -50,8 +50,22 @@ pub const PRICE: Shader = Shader {
     twin: "crates/kiln-lod/src/simplify/viewpoint/price.rs",
 };
 
+/// Sliding window: the vertex shader that picks while it draws.
+pub const WINDOW_DRAW: Shader = Shader {
+    name: "window_draw",
+    source: include_str!("../window_draw.wgsl"),
+    twin: "crates/kiln-runtime/src/window/pick.rs",
+};
+
+/// Sliding window: passes that fill vertex buffers, index buffers and draw arguments of a LOD.
+pub const WINDOW_PICK: Shader = Shader {
+    name: "window_pick",
+    source: include_str!("../window_pick.wgsl"),
+    twin: "crates/kiln-runtime/src/window/pick.rs",
+};
+
 /// All passes, by name.
-pub const ALL: &[Shader] = &[APPLY_MAPS, FORMULA, MIRRORED_VERTEX, PRICE];
+pub const ALL: &[Shader] = &[APPLY_MAPS, FORMULA, MIRRORED_VERTEX, PRICE, WINDOW_DRAW, WINDOW_PICK];
 
 #[cfg(test)]
 mod tests {

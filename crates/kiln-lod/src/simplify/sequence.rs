@@ -69,13 +69,18 @@ pub struct Replayed {
 }
 
 impl CollapseSequence {
-    pub(super) fn new(face_count: u32, vertex_count: u32) -> CollapseSequence {
+    pub(crate) fn new(face_count: u32, vertex_count: u32) -> CollapseSequence {
         CollapseSequence { face_count, vertex_count, ..Default::default() }
     }
 
     /// Faces of the mesh that it is of.
-    pub(super) fn face_count(&self) -> u32 {
+    pub(crate) fn face_count(&self) -> u32 {
         self.face_count
+    }
+
+    /// Vertices of the mesh that it is of.
+    pub(crate) fn vertex_count(&self) -> u32 {
+        self.vertex_count
     }
 
     /// What ended it.
@@ -106,13 +111,13 @@ impl CollapseSequence {
     }
 
     /// Where the vanished faces of collapse `i` lie in [`CollapseSequence::faces`].
-    pub(super) fn faces_of(&self, i: usize) -> Range<usize> {
+    pub(crate) fn faces_of(&self, i: usize) -> Range<usize> {
         let end = self.collapses.get(i + 1).map_or(self.faces.len(), |c| c.first_face as usize);
         self.collapses[i].first_face as usize..end
     }
 
     /// Where the wedge pairs of collapse `i` lie in [`CollapseSequence::pairs`].
-    pub(super) fn pairs_of(&self, i: usize) -> Range<usize> {
+    pub(crate) fn pairs_of(&self, i: usize) -> Range<usize> {
         let end = self.collapses.get(i + 1).map_or(self.pairs.len(), |c| c.first_pair as usize);
         self.collapses[i].first_pair as usize..end
     }
@@ -126,7 +131,7 @@ impl CollapseSequence {
     }
 
     /// As [`CollapseSequence::replay`], with what became of the mesh's points and vertices.
-    pub(super) fn replay_with_heirs(&self, mesh: &Mesh, count: usize) -> Result<Replayed, MeshError> {
+    pub(crate) fn replay_with_heirs(&self, mesh: &Mesh, count: usize) -> Result<Replayed, MeshError> {
         let pair_end = self.collapses.get(count).map_or(self.pairs.len(), |c| c.first_pair as usize);
         let face_end = self.collapses.get(count).map_or(self.faces.len(), |c| c.first_face as usize);
         let cut = replayed(mesh, self.pairs[..pair_end].iter().rev(), self.faces[..face_end].iter())?;

@@ -10,6 +10,7 @@ mod bake;
 mod command;
 mod compare;
 mod container;
+mod continuous;
 mod corpus;
 mod crash;
 mod determinism;

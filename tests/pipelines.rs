@@ -2,21 +2,7 @@
 
 use std::fs;
 
-use crate::space::{Space, repository};
-
-/// A copy of `pipelines/` and `fixtures/`, so that nothing is written into the project.
-fn copied(pipeline: &str) -> Space {
-    let space = Space::new();
-    space.write(&format!("pipelines/{pipeline}"), fs::read(repository("pipelines").join(pipeline)).unwrap());
-    for entry in fs::read_dir(repository("fixtures")).unwrap() {
-        let path = entry.unwrap().path();
-        if path.extension().is_some_and(|e| e == "glb") {
-            let name = path.file_name().unwrap().to_string_lossy().into_owned();
-            space.write(&format!("fixtures/{name}"), fs::read(&path).unwrap());
-        }
-    }
-    space
-}
+use crate::space::{Space, copied};
 
 #[test]
 fn quickstart_builds_bakes_and_the_second_build_does_nothing() {

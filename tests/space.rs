@@ -212,3 +212,17 @@ pub(crate) fn small(fixture: &str) -> Space {
     space.write("model.glb", fs::read(repository("fixtures").join(fixture)).unwrap());
     space
 }
+
+/// A copy of `pipelines/` and `fixtures/`, so that nothing is written into the project.
+pub(crate) fn copied(pipeline: &str) -> Space {
+    let space = Space::new();
+    space.write(&format!("pipelines/{pipeline}"), fs::read(repository("pipelines").join(pipeline)).unwrap());
+    for entry in fs::read_dir(repository("fixtures")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|e| e == "glb") {
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            space.write(&format!("fixtures/{name}"), fs::read(&path).unwrap());
+        }
+    }
+    space
+}

@@ -3,7 +3,7 @@
 use std::{env, fs, path::PathBuf};
 
 /// The crates whose behaviour reaches a stage's output, in the order of [`foreign`](src/foreign.rs)'s table.
-const NAMES: [&str; 14] = [
+const NAMES: [&str; 15] = [
     "basisu",
     "bevy_mikktspace",
     "ctt-bc7f",
@@ -18,6 +18,7 @@ const NAMES: [&str; 14] = [
     "uvunwrap",
     "wgpu",
     "xatlas-rs-v2",
+    "zstd-sys",
 ];
 
 fn main() {

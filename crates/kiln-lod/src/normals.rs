@@ -30,6 +30,46 @@ pub fn rebuild_but(mesh: &Mesh, angle: f32, kept: &[bool]) -> Mesh {
     rebuild_where(mesh, angle, &wanted)
 }
 
+/// `mesh` with normals in every submesh that had none, without a hard edge: each vertex has the mean of the normals of its point's
+/// faces in such submeshes, weighted by the angle that each has there. No wedge is split, so a collapse sequence of `mesh` is one of
+/// the result, too.
+pub fn smooth(mesh: &Mesh) -> Mesh {
+    let wanted: Vec<bool> = mesh.submeshes.iter().map(|s| !(s.attributes.normals && mesh.normals.is_some())).collect();
+    if !wanted.contains(&true) {
+        return mesh.clone();
+    }
+    let mut sums = vec![DVec3::ZERO; mesh.point_count()];
+    let mut asked = vec![false; mesh.vertex_count()];
+    for (triangle, _) in mesh.triangles.iter().zip(&mesh.face_submesh).filter(|(_, s)| wanted[s.index()]) {
+        let corners = triangle.map(|v| mesh.positions[v as usize].as_dvec3());
+        let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize_or_zero();
+        for k in 0..3 {
+            sums[mesh.points[triangle[k] as usize].index()] += normal * angle_at(&corners, k);
+            asked[triangle[k] as usize] = true;
+        }
+    }
+    let mut raw: RawMesh = mesh.clone().into_raw();
+    let mut normals = raw.normals.take().unwrap_or_else(|| vec![Vec3::Y; mesh.vertex_count()]);
+    for (v, normal) in normals.iter_mut().enumerate().filter(|(v, _)| asked[*v]) {
+        *normal = sums[mesh.points[v].index()].try_normalize().unwrap_or(DVec3::Y).as_vec3();
+    }
+    raw.normals = Some(normals);
+    for (submesh, _) in raw.submeshes.iter_mut().zip(&wanted).filter(|(_, wanted)| **wanted) {
+        (submesh.attributes.normals, submesh.attributes.tangents) = (true, false);
+    }
+    if raw.submeshes.iter().all(|s| !s.attributes.tangents) {
+        raw.tangents = None;
+    }
+    Mesh::new(raw).expect("invariant: only normals and tangents changed")
+}
+
+/// The angle at corner `k`, radians; 0 where an edge has no length.
+fn angle_at(corners: &[DVec3; 3], k: usize) -> f64 {
+    let (a, b) = (corners[(k + 1) % 3] - corners[k], corners[(k + 2) % 3] - corners[k]);
+    let lengths = a.length() * b.length();
+    if lengths > 0.0 { libm::acos((a.dot(b) / lengths).clamp(-1.0, 1.0)) } else { 0.0 }
+}
+
 fn rebuild_where(mesh: &Mesh, angle: f32, wanted: &[bool]) -> Mesh {
     if !wanted.contains(&true) {
         return mesh.clone();
@@ -64,11 +104,8 @@ fn rebuild_where(mesh: &Mesh, angle: f32, wanted: &[bool]) -> Mesh {
     for (f, triangle) in mesh.triangles.iter().enumerate() {
         let corners = triangle.map(|v| mesh.positions[v as usize].as_dvec3());
         for k in 0..3 {
-            let (a, b) = (corners[(k + 1) % 3] - corners[k], corners[(k + 2) % 3] - corners[k]);
-            let lengths = a.length() * b.length();
-            let wide = if lengths > 0.0 { libm::acos((a.dot(b) / lengths).clamp(-1.0, 1.0)) } else { 0.0 };
             let group = find(&mut leader, (3 * f + k) as u32);
-            sums[group as usize] += face_normals[f] * wide;
+            sums[group as usize] += face_normals[f] * angle_at(&corners, k);
         }
     }
 
@@ -160,6 +197,18 @@ mod tests {
         for (p, n) in sphere.positions.iter().zip(sphere.normals.as_ref().unwrap()) {
             assert!(p.normalize().dot(*n) > 0.999, "{p} {n}");
         }
+    }
+
+    #[test]
+    fn smooth_normals_split_nothing_and_are_those_of_a_sphere() {
+        let sphere = fixtures::sphere(48, 32);
+        let smoothed = smooth(&sphere);
+        assert_eq!((&smoothed.positions, &smoothed.triangles), (&sphere.positions, &sphere.triangles));
+        for (p, n) in sphere.positions.iter().zip(smoothed.normals.as_ref().unwrap()) {
+            assert!(p.normalize().dot(*n) > 0.999, "{p} {n}");
+        }
+        let cube = fixtures::hard_cube(3);
+        assert_eq!(smooth(&cube), cube, "normals that are there stay");
     }
 
     #[test]

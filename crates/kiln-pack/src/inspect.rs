@@ -1,8 +1,11 @@
 //! What is in a container, as a value that serialises: `kiln inspect` prints it.
 
 use kiln_format::kind::codec_name;
+use kiln_format::layout::Checkpoint;
 use kiln_format::record::{FLAG_REQUIRED, NONE};
-use kiln_format::{AlignedBytes, Channel, Container, ErrorKind, Extra, Role, Semantic, TextureFormat, VertexFormat};
+use kiln_format::{
+    AlignedBytes, Channel, Container, ErrorKind, Extra, Kind, Role, Semantic, TextureFormat, VertexFormat,
+};
 use serde::Serialize;
 
 use crate::PackError;
@@ -22,6 +25,8 @@ pub struct InspectReport {
     pub sections: Vec<InspectSection>,
     /// Finest first.
     pub levels: Vec<InspectLevel>,
+    /// Layouts beside the levels.
+    pub layouts: Vec<InspectLayout>,
     /// By number.
     pub submeshes: Vec<InspectSubmesh>,
     /// By number.
@@ -86,6 +91,36 @@ pub struct InspectLevel {
     pub bounds_max: [f32; 3],
     /// `[submesh_count]`, triangles of each submesh.
     pub submesh_triangles: Vec<u32>,
+}
+
+/// One layout beside the levels.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct InspectLayout {
+    /// `sliding-window`, `tree-leaf`, `compact-tree` or `clusters`.
+    pub name: &'static str,
+    /// Bytes of its sections in the file.
+    pub bytes: u64,
+    /// Collapses of a window, nodes of a tree, clusters of a DAG.
+    pub details: u32,
+    /// Triangles of the finest detail; all clusters' of a DAG.
+    pub triangles: u32,
+    /// Finest first; a DAG has none.
+    pub checkpoints: Vec<InspectCheckpoint>,
+}
+
+/// A place on a layout's scale of detail whose error is known.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct InspectCheckpoint {
+    /// Collapses of a window, threshold of a tree.
+    pub detail: u32,
+    /// Vertices of a window, different picks of a tree.
+    pub vertices: u32,
+    /// Triangles.
+    pub triangles: u32,
+    /// Distance to the source surface, object units.
+    pub error: f32,
+    /// The level that it equals.
+    pub level: Option<u32>,
 }
 
 /// One submesh.
@@ -174,6 +209,7 @@ pub fn inspect(bytes: &[u8]) -> Result<InspectReport, PackError> {
         },
         sections: sections(&container),
         levels: (0..container.level_records().len()).map(|lod| level(&container, lod)).collect(),
+        layouts: layouts(&container),
         submeshes: submeshes(&container),
         materials: materials(&container),
         textures: (0..container.textures().len()).map(|number| texture(&container, number)).collect(),
@@ -233,6 +269,48 @@ fn level(container: &Container<'_>, lod: usize) -> InspectLevel {
         bounds_max: record.bounds_max,
         submesh_triangles: container.level_ranges(lod).iter().map(|range| range.index_count / 3).collect(),
     }
+}
+
+/// What each layout's header and checkpoints say.
+pub(crate) fn layouts(container: &Container<'_>) -> Vec<InspectLayout> {
+    let found = container.layouts();
+    let bytes = |kinds: &[Kind]| {
+        let sections = container.sections().filter(|s| kinds.contains(&s.kind));
+        sections.map(|s| s.entry.stored_length).sum()
+    };
+    let list = |checkpoints: &[Checkpoint]| {
+        let of = |c: &Checkpoint| InspectCheckpoint {
+            detail: c.detail,
+            vertices: c.vertices,
+            triangles: c.triangles,
+            error: c.error,
+            level: (c.level != NONE).then_some(c.level),
+        };
+        checkpoints.iter().map(of).collect()
+    };
+    let layout = |name, kinds: &[Kind], details, triangles, checkpoints: &[Checkpoint]| InspectLayout {
+        name,
+        bytes: bytes(kinds),
+        details,
+        triangles,
+        checkpoints: list(checkpoints),
+    };
+    let mut out = Vec::new();
+    if let Some(v) = found.window {
+        out.push(layout("sliding-window", &[Kind::WINDOW], v.header.collapses, v.header.triangles, v.checkpoints));
+    }
+    if let Some(v) = found.tree_leaf {
+        let triangles = v.face_counts.last().copied().unwrap_or(0);
+        out.push(layout("tree-leaf", &[Kind::TREE, Kind::LEAF], v.header.nodes, triangles, v.checkpoints));
+    }
+    if let Some(v) = found.compact_tree {
+        let triangles = v.face_counts.last().copied().unwrap_or(0);
+        out.push(layout("compact-tree", &[Kind::COMPACT_TREE], v.header.nodes, triangles, v.checkpoints));
+    }
+    if let Some(v) = found.clusters {
+        out.push(layout("clusters", &[Kind::CLUSTERS], v.header.clusters, v.header.triangles, &[]));
+    }
+    out
 }
 
 fn submeshes(container: &Container<'_>) -> Vec<InspectSubmesh> {

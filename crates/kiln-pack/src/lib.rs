@@ -7,18 +7,22 @@ mod bc;
 pub mod files;
 pub mod glb;
 pub mod inspect;
+pub mod layouts;
 pub mod mips;
+mod order;
 pub mod pack;
 pub mod picture;
 #[cfg(test)]
 mod tests;
 mod textures;
+pub mod trees;
 pub mod unpack;
 
 pub use glb::{ExportLevels, ExportReport, export_container_glb, export_glb};
-pub use inspect::{InspectReport, inspect};
+pub use inspect::{InspectLayout, InspectReport, inspect};
 pub use kiln_format::{FormatError, Provenance};
-pub use pack::{Coding, Layout, PackOptions, PackReport, PackedLevel, pack};
+pub use layouts::{Continuous, TreeLayout, WindowLayout};
+pub use pack::{Coding, Compression, Layout, PackOptions, PackReport, PackedLevel, Vertices, pack};
 pub use picture::Picture;
 pub use unpack::{unpack, unpack_pictures};
 

@@ -7,26 +7,28 @@
 //! ```text
 //! textures = every (image, how it is averaged) that a material uses, in that order; then the extra pictures (textures.rs)
 //! decode each picture, build its mip chain, compress its mips if asked to
+//! levels in the order that their layouts and codec ask for (order.rs), the layouts over it (layouts.rs)
 //! submeshes, materials and levels -> records; arrays are lent as they lie in the mesh
-//! kiln_format::write places, hashes and checks
+//! kiln_format::write codes, places, hashes and checks
 //! ```
 //! Images that no material uses and that are no extra pictures are left out, and told.
 //!
 //! A level has the arrays its mesh has; which attributes a submesh really had in its source is kept beside its name.
-//! Vertices and triangles stand in the mesh's order.
 //!
-//! **Limits.** Layout `discrete` only. Unquantised vertices. The points that join submeshes are not
-//! stored: equal positions tell them.
+//! **Limits.** Unquantised vertices. The points that join submeshes are not stored: equal positions tell them.
 
 use bytemuck::cast_slice;
 use kiln_asset::{AlphaMode, AttributeSet, Filter, ImageId, LodSet, MapRole, MaterialSet, Mesh, Wrap};
 use kiln_format::{
-    Content, ErrorKind, LevelContent, MaterialRecord, Provenance, Semantic, SlotRecord, SubmeshContent, TextureContent,
+    Content, ErrorKind, LevelContent, MaterialRecord, Packing, Provenance, Semantic, SlotRecord, SubmeshContent, TextureContent,
     record::NONE,
 };
 use serde::{Deserialize, Serialize};
 
 use crate::PackError;
+use crate::inspect::{self, InspectLayout};
+use crate::layouts::{self, Arrays, Continuous};
+use crate::order::{self, Coarser, Packed};
 use crate::picture::Picture;
 use crate::textures::{self, Class, Want, class};
 
@@ -34,8 +36,40 @@ use crate::textures::{self, Class, Want, class};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Layout {
-    /// Each level its own arrays.
+    /// Each level its own indices; without it only the finest level is there beside the other layouts.
     Discrete,
+    /// Vertices and triangles in collapse order.
+    SlidingWindow,
+    /// Octree in tree and leaf buffers.
+    TreeLeaf,
+    /// Octree with one texel a node.
+    CompactTree,
+    /// Cluster DAG.
+    Clusters,
+}
+
+/// Whose vertices the levels use.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Vertices {
+    /// Each level its own.
+    #[default]
+    Own,
+    /// The first of the finest one's; a sliding window asks for it whatever this says.
+    Shared,
+}
+
+/// How payload is stored.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Compression {
+    /// As it lies in memory.
+    #[default]
+    None,
+    /// Geometry by the meshopt codecs, the rest by zstd.
+    Meshopt,
+    /// All by zstd.
+    Zstd,
 }
 
 /// Options of [`pack()`].
@@ -48,6 +82,10 @@ pub struct PackOptions {
     pub mips: bool,
     /// How texels of materials' 8-bit textures are stored.
     pub textures: Coding,
+    /// Whose vertices the levels use.
+    pub vertices: Vertices,
+    /// How payload is stored.
+    pub compression: Compression,
 }
 
 /// How texels are stored.
@@ -64,7 +102,13 @@ pub enum Coding {
 
 impl Default for PackOptions {
     fn default() -> Self {
-        PackOptions { layouts: vec![Layout::Discrete], mips: true, textures: Coding::Raw }
+        PackOptions {
+            layouts: vec![Layout::Discrete],
+            mips: true,
+            textures: Coding::Raw,
+            vertices: Vertices::Own,
+            compression: Compression::None,
+        }
     }
 }
 
@@ -77,7 +121,7 @@ pub struct PackedLevel {
     pub vertices: u32,
     /// Distance to the source surface, object units.
     pub error: f32,
-    /// Bytes of its vertices and indices.
+    /// Bytes of its vertices and indices, as they lie in memory; vertices that it shares count for the finest level alone.
     pub bytes: u64,
 }
 
@@ -86,6 +130,8 @@ pub struct PackedLevel {
 pub struct PackReport {
     /// Finest first.
     pub levels: Vec<PackedLevel>,
+    /// The layouts beside the levels.
+    pub layouts: Vec<InspectLayout>,
     /// Textures stored.
     pub textures: usize,
     /// Bytes of all mips.
@@ -102,18 +148,16 @@ pub type Images<'a> = dyn Fn(ImageId) -> Result<Picture, String> + 'a;
 /// The bytes of a container with all levels, materials and the textures they use.
 ///
 /// # Errors
-/// A picture that `images` cannot give, a reference out of range, levels of different submeshes, or content that the format
-/// cannot hold (a factor that is no finite number).
+/// A picture that `images` cannot give, a reference out of range, levels of different submeshes, a layout that `continuous` has not or
+/// that was made of other levels, or content that the format cannot hold (a factor that is no finite number).
 pub fn pack(
     levels: &LodSet,
     materials: &MaterialSet,
     images: &Images<'_>,
     provenance: &Provenance,
     options: &PackOptions,
+    continuous: &Continuous,
 ) -> Result<(Vec<u8>, PackReport), PackError> {
-    if options.layouts != [Layout::Discrete] {
-        return Err(PackError::Unsupported("layouts other than [\"discrete\"]".into()));
-    }
     let mut report = PackReport::default();
     let wanted = textures::wanted(materials)?;
     let pictures =
@@ -121,28 +165,40 @@ pub fn pack(
     let stored = wanted.iter().zip(&pictures);
     let textures: Vec<TextureContent<'_>> =
         stored.map(|(want, picture)| textures::content(want, picture, materials, options, &mut report)).collect();
+    let submeshes = submeshes(levels, materials)?;
+    let packed = ordered(levels, options, continuous)?;
+    let finest = levels.levels.first().ok_or_else(no_levels)?;
+    let arrays = Arrays::new(continuous, &finest.mesh, &packed, options)?;
     let content = Content {
         source_triangles: levels.source_triangles,
         layout: levels.layout.map(|layout| [layout.size, layout.padding, layout.chart_count, layout.sheets]),
-        levels: levels.levels.iter().map(|level| level_content(&level.mesh, level.error)).collect(),
-        submeshes: submeshes(levels, materials)?,
+        levels: level_contents(levels, &packed),
+        submeshes,
         materials: material_records(materials, &wanted),
         textures,
         provenance: Some(provenance.clone()),
         private: Vec::new(),
+        layouts: arrays.layouts(),
+        packing: match options.compression {
+            Compression::None => Packing::Raw,
+            Compression::Meshopt => Packing::Meshopt,
+            Compression::Zstd => Packing::Zstd,
+        },
     };
     let bytes = kiln_format::write(&content)?;
-    for (level, content) in levels.levels.iter().zip(&content.levels) {
-        let vertices = level.mesh.vertex_count() as u32;
+    for content in &content.levels {
+        let vertices = content.arrays.first().map_or(0, |(_, bytes)| bytes.len() / 12) as u32;
         let width = if vertices <= kiln_format::record::MAX_U16_VERTICES { 2 } else { 4 };
-        let arrays: usize = content.arrays.iter().map(|(_, bytes)| bytes.len()).sum();
+        let own = content.arrays.iter().filter(|_| !content.shares_vertices);
+        let arrays: usize = own.map(|(_, bytes)| bytes.len()).sum();
         report.levels.push(PackedLevel {
-            triangles: level.mesh.face_count() as u32,
+            triangles: content.indices.len() as u32 / 3,
             vertices,
-            error: level.error,
+            error: content.error,
             bytes: (arrays + content.indices.len() * width) as u64,
         });
     }
+    report.layouts = inspect::layouts(&kiln_format::Container::open_tables(&bytes)?);
     report.textures = content.textures.len();
     report.texture_bytes = content.textures.iter().flat_map(|t| &t.mips).map(|mip| mip.len() as u64).sum();
     report.bytes = bytes.len() as u64;
@@ -157,6 +213,55 @@ pub fn pack(
     Ok((bytes, report))
 }
 
+/// The levels in the order that layouts and codec ask for; only the finest without layout `discrete`.
+fn ordered<'a>(
+    levels: &'a LodSet,
+    options: &PackOptions,
+    continuous: &Continuous,
+) -> Result<Packed<'a>, PackError> {
+    let wanted = |layout| options.layouts.contains(&layout);
+    let count = if wanted(Layout::Discrete) { levels.levels.len() } else { 1 };
+    let meshes: Vec<&Mesh> = levels.levels.iter().take(count).map(|level| &level.mesh).collect();
+    match (&continuous.window, &continuous.tree) {
+        (Some(window), _) if wanted(Layout::SlidingWindow) => layouts::by_window(&meshes, window),
+        _ if options.vertices == Vertices::Shared && count > 1 => order::shared(&meshes),
+        // A tree of another mesh is refused where its arrays are made.
+        (_, Some(layout))
+            if (wanted(Layout::TreeLeaf) || wanted(Layout::CompactTree))
+                && layout.tree.terminals().len() == meshes[0].vertex_count() =>
+        {
+            Ok(order::by_leaves(&meshes, layout.tree.vertex_order(meshes[0])))
+        }
+        _ if options.compression == Compression::Meshopt => Ok(order::for_codec(&meshes)),
+        _ => Ok(order::as_they_are(&meshes)),
+    }
+}
+
+fn level_contents<'a>(levels: &LodSet, packed: &'a Packed<'_>) -> Vec<LevelContent<'a>> {
+    let errors = levels.levels.iter().map(|level| level.error);
+    let finest = level_content(&packed.finest, 0.0);
+    let mut contents = vec![finest];
+    for level in &packed.coarser {
+        contents.push(match level {
+            Coarser::Own(mesh) => level_content(mesh, 0.0),
+            Coarser::Shared { vertices, triangles, counts } => {
+                let of = |(semantic, bytes): &(Semantic, &'a [u8])| {
+                    (*semantic, &bytes[..vertices * semantic.format().size()])
+                };
+                LevelContent {
+                    arrays: contents[0].arrays.iter().map(of).collect(),
+                    indices: cast_slice(triangles),
+                    index_counts: counts.iter().map(|count| 3 * count).collect(),
+                    shares_vertices: true,
+                    ..level_content(&packed.finest, 0.0)
+                }
+            }
+        });
+    }
+    contents.iter_mut().zip(errors).for_each(|(content, error)| content.error = error);
+    contents
+}
+
 /// The arrays of a mesh as the format names them, positions first.
 fn level_content(mesh: &Mesh, error: f32) -> LevelContent<'_> {
     let mut arrays: Vec<(Semantic, &[u8])> = vec![(Semantic::Positions, cast_slice(&mesh.positions))];
@@ -168,20 +273,24 @@ fn level_content(mesh: &Mesh, error: f32) -> LevelContent<'_> {
     optional(Semantic::Colors, mesh.colors.as_deref().map(cast_slice));
     optional(Semantic::Joints, mesh.joints.as_deref().map(cast_slice));
     optional(Semantic::Weights, mesh.weights.as_deref().map(cast_slice));
-    let count = |submesh: usize| mesh.submesh_faces(kiln_asset::SubmeshId(submesh as u32)).len() as u32 * 3;
     LevelContent {
         error,
         error_kind: ErrorKind::Sampled,
         arrays,
         indices: cast_slice(&mesh.triangles),
-        index_counts: (0..mesh.submeshes.len()).map(count).collect(),
+        index_counts: order::submesh_counts(mesh).iter().map(|count| 3 * count).collect(),
+        shares_vertices: false,
     }
+}
+
+fn no_levels() -> PackError {
+    PackError::Levels { level: 0, message: "there is no level to pack".into() }
 }
 
 /// The submeshes, the same at every level.
 fn submeshes(levels: &LodSet, materials: &MaterialSet) -> Result<Vec<SubmeshContent>, PackError> {
     let Some(finest) = levels.levels.first() else {
-        return Err(PackError::Levels { level: 0, message: "there is no level to pack".into() });
+        return Err(no_levels());
     };
     for (level, other) in levels.levels.iter().enumerate() {
         if other.mesh.submeshes != finest.mesh.submeshes {

@@ -34,6 +34,8 @@ pub(crate) const MIKKTSPACE: &str = version!("bevy_mikktspace", "BEVY_MIKKTSPACE
 pub(crate) const XATLAS: &str = version!("xatlas-rs-v2", "XATLAS_RS_V2");
 /// The GPU.
 pub(crate) const WGPU: &str = version!("wgpu", "WGPU");
+/// Compressed sections.
+pub(crate) const ZSTD: &str = version!("zstd-sys", "ZSTD_SYS");
 
 /// The system's picture library, where this build has it.
 pub(crate) fn oiio() -> Option<String> {
@@ -45,8 +47,8 @@ pub(crate) fn oiio() -> Option<String> {
 pub(crate) const NUMERIC_CLASS: &str = "rust-ieee754-le";
 
 /// The classes and crates that a container's provenance names.
-pub(crate) fn all() -> [&'static str; 14] {
-    [BASISU, MIKKTSPACE, BC7F, DRACO, EXR, GLAM, IMAGE, LIBM, MESHOPT, OBVHS, SERDE_JSON, UVUNWRAP, WGPU, XATLAS]
+pub(crate) fn all() -> [&'static str; 15] {
+    [BASISU, MIKKTSPACE, BC7F, DRACO, EXR, GLAM, IMAGE, LIBM, MESHOPT, OBVHS, SERDE_JSON, UVUNWRAP, WGPU, XATLAS, ZSTD]
 }
 
 /// Where the results of C++ are bit-identical: its compiler may use the target's maths and instructions.

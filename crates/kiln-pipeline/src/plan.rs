@@ -11,7 +11,9 @@
 //!   levels          <- mesh or levels, sequence, dependencies, source mesh -> levels
 //! atlas             <- levels                                  -> levels
 //! bake              <- levels, high mesh, materials, images    -> levels, materials, image/N
-//! pack              <- levels, materials, images               -> container
+//! pack              <- levels, materials, images, and what its layouts ask for -> container
+//!   window          <- what the last simplify took, its sequence and levels, source mesh -> window
+//!   tree, clusters  <- the last simplify's levels, source mesh -> tree, clusters
 //! ```
 
 use std::fs;
@@ -25,6 +27,7 @@ use crate::language::{
     self, AssetBuild, Diagnostic, DirEntry, Family, Pipeline, RelativeTo, ResolvedPipeline, Sources, Stage, StageInput,
     StageSettings, has_errors,
 };
+use crate::language::options::{Kind, PackLayout, PackOptions, PackVertices};
 use crate::stages::{self, Backend, DebugView, XatlasWorker};
 
 /// What makes a plan beside the pipeline's text.
@@ -230,6 +233,35 @@ impl Planner<'_> {
         self.plan.actions.len() - 1
     }
 
+    /// The actions that make the continuous layouts of a pack, by the name of their output.
+    fn layouts(
+        &mut self,
+        id: &str,
+        label: &str,
+        options: &PackOptions,
+        of: &Simplified,
+    ) -> Vec<(&'static str, usize)> {
+        use stages::continuous::{Inputs, clusters_action, tree_action, window_action};
+        let inputs = Inputs { levels: of.levels.clone(), source: of.source.clone() };
+        let named = |name: &str| (format!("{id}/{name}"), format!("{label}, {name}"));
+        let wanted = |layouts: &[PackLayout]| layouts.iter().any(|layout| options.layouts.contains(layout));
+        let mut made = Vec::new();
+        if wanted(&[PackLayout::SlidingWindow]) {
+            let (id, label) = named("window");
+            let action = window_action(id, label, options, &inputs, of.before.clone(), of.sequence.clone());
+            made.push(("window", self.push(action)));
+        }
+        if wanted(&[PackLayout::TreeLeaf, PackLayout::CompactTree]) {
+            let (id, label) = named("tree");
+            made.push(("tree", self.push(tree_action(id, label, options, &inputs))));
+        }
+        if wanted(&[PackLayout::Clusters]) {
+            let (id, label) = named("clusters");
+            made.push(("clusters", self.push(clusters_action(id, label, &inputs))));
+        }
+        made
+    }
+
     fn asset(
         &mut self,
         pipeline: &Pipeline,
@@ -244,9 +276,12 @@ impl Planner<'_> {
         let import = self.push(stages::import::action(id("import"), label("import"), &input, &pipeline.asset.options));
         let mut actions = vec![(import, "import".to_owned())];
         let mut results: Vec<Placed> = Vec::new();
+        let mut simplified: Vec<Option<Simplified>> = Vec::new();
+        let shares = last_simplify(&resolved.stages).filter(|_| shares_vertices(&resolved.stages));
         let mut debug_views = Vec::new();
         let mut container = import;
-        for stage in &resolved.stages {
+        for (number, stage) in resolved.stages.iter().enumerate() {
+            let mut cut = None;
             let before = match stage.input {
                 StageInput::Asset => Placed { action: import, output: "mesh", materials: import },
                 StageInput::Stage(index) => results[index],
@@ -282,16 +317,17 @@ impl Planner<'_> {
                         Source::output(parts, "dependencies")
                     });
                     let source = source_mesh(stage, &resolved.stages, &results, import);
-                    let levels = stages::simplify::levels_action(
-                        id,
-                        label,
-                        options,
+                    let by = stages::simplify::Cut {
                         rules,
-                        &inputs,
-                        [sequence, source],
+                        sequence: sequence.clone(),
+                        source: source.clone(),
                         dependencies,
-                    );
-                    Placed { action: self.push(levels), output: "levels", ..before }
+                        shares_vertices: shares == Some(number),
+                    };
+                    let action = self.push(stages::simplify::levels_action(id, label, options, &inputs, by));
+                    let levels = Placed { action, output: "levels", ..before };
+                    cut = Some(Simplified { before: before.source(), sequence, levels: levels.source(), source });
+                    levels
                 }
                 StageSettings::Atlas(options) => {
                     let action = stages::atlas::action(id, label, options, before.source(), self.xatlas.clone());
@@ -322,19 +358,56 @@ impl Planner<'_> {
                         stages: resolved.stages.iter().map(|s| (s.id.clone(), stages::version(s.kind()))).collect(),
                         device_class: resolved.stages.iter().find_map(|s| self.backend.device_class(s.kind())),
                     };
-                    let inputs = Source::output(import, "inputs");
-                    let action =
-                        stages::pack::action(id, label, options, before.source(), before.materials, inputs, made_by);
-                    container = self.push(action);
+                    let of = last_simplify(&resolved.stages).and_then(|index| simplified[index].as_ref());
+                    let layouts = of.map(|of| self.layouts(&id, &label, options, of)).unwrap_or_default();
+                    actions.extend(layouts.iter().map(|(name, action)| (*action, format!("{}, {name}", stage.id))));
+                    let inputs = stages::pack::Inputs {
+                        levels: before.source(),
+                        materials: before.materials,
+                        files: Source::output(import, "inputs"),
+                        layouts: layouts.into_iter().map(|(name, action)| (name, Source::output(action, name))).collect(),
+                    };
+                    container = self.push(stages::pack::action(id, label, options, inputs, made_by));
                     Placed { action: container, output: "container", ..before }
                 }
             };
             actions.push((result.action, stage.id.clone()));
             results.push(result);
+            simplified.push(cut);
         }
         let target = self.plan.targets.len();
         self.plan.targets.push(Target { path: output.clone(), action: container, output: "container".into() });
         PlannedAsset { input, output, target, actions, resolved: resolved.to_resolved_toml(), debug_views }
+    }
+}
+
+/// What a simplify stage took and gave.
+struct Simplified {
+    before: Source,
+    sequence: Source,
+    levels: Source,
+    source: Source,
+}
+
+/// The simplify stage whose levels are packed.
+fn last_simplify(stages: &[Stage]) -> Option<usize> {
+    let mut input = stages.last()?.input;
+    while let StageInput::Stage(index) = input {
+        if stages[index].kind() == Kind::Simplify {
+            return Some(index);
+        }
+        input = stages[index].input;
+    }
+    None
+}
+
+/// Whether the packed levels are to have vertices of the finest alone.
+fn shares_vertices(stages: &[Stage]) -> bool {
+    match stages.last().map(|stage| &stage.settings) {
+        Some(StageSettings::Pack(pack)) => {
+            pack.vertices == PackVertices::Shared || pack.layouts.contains(&PackLayout::SlidingWindow)
+        }
+        _ => false,
     }
 }
 

@@ -4,12 +4,13 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use crate::{corpus, fuzz};
+use crate::{continuous, corpus, fuzz};
 
 const HELP: &str = "\
 cargo xtask long [PART]; all parts without one
 
   corpus [NAME...]                     real models end to end (needs KILN_CORPUS)
+  continuous                           layouts: counts, bytes, distances, picking, loading (needs KILN_CORPUS, numpy)
   kills                                builds killed at seeded moments
   fuzz [--minutes N] [--target NAME]   each fuzz target for its share of N minutes, 60 unless told (needs cargo-fuzz)";
 
@@ -17,12 +18,13 @@ cargo xtask long [PART]; all parts without one
 pub(crate) fn run(root: &Path, args: &[String]) -> Result<(), String> {
     match args.split_first() {
         None => {
-            let parts = [models(root, &[]), kills(root), fuzz::run(root, &[])];
+            let parts = [models(root, &[]), continuous::run(root), kills(root), fuzz::run(root, &[])];
             let failed: Vec<String> = parts.into_iter().filter_map(Result::err).collect();
             if failed.is_empty() { Ok(()) } else { Err(failed.join("\n")) }
         }
         Some((part, rest)) => match part.as_str() {
             "corpus" => models(root, rest),
+            "continuous" => continuous::run(root),
             "kills" => kills(root),
             "fuzz" => fuzz::run(root, rest),
             _ => Err(HELP.into()),

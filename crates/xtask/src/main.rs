@@ -1,6 +1,7 @@
 //! The project's own chores, as `cargo xtask NAME`; `cargo xtask` lists them.
 
 mod baked;
+mod continuous;
 mod corpus;
 mod fuzz;
 mod long;

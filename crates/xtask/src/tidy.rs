@@ -23,7 +23,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("kiln-measure", &["kiln-geom", "kiln-asset", "kiln-gpu", "kiln-shaders"]),
     ("kiln-runtime", &["kiln-format", "kiln-gpu", "kiln-shaders"]),
     ("kiln-capi", &["kiln-format", "kiln-runtime"]),
-    ("kiln-pack", &["kiln-asset", "kiln-format", "kiln-lod", "kiln-geom"]),
+    ("kiln-pack", &["kiln-asset", "kiln-format", "kiln-lod", "kiln-geom", "kiln-runtime"]),
     (
         "kiln-pipeline",
         &[

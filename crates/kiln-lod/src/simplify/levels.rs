@@ -74,9 +74,12 @@ pub struct LevelsOptions {
     pub prune: f32,
 }
 
+/// Sample points a side by which errors are measured unless a caller says otherwise.
+pub const SAMPLES: u32 = 200_000;
+
 impl Default for LevelsOptions {
     fn default() -> Self {
-        LevelsOptions { placement: Placement::HalfEdge, samples: 200_000, prune: 0.0 }
+        LevelsOptions { placement: Placement::HalfEdge, samples: SAMPLES, prune: 0.0 }
     }
 }
 

@@ -67,7 +67,7 @@ use rest::{MetricRest, Rest};
 pub use dependencies::Dependencies;
 pub use error::surface_error;
 pub use levels::{
-    Budget, LevelReport, LevelsOptions, Parts, Placement, SimplifyReport, cut, levels, levels_by_parts, simplify,
+    Budget, LevelReport, LevelsOptions, Parts, Placement, SAMPLES, SimplifyReport, cut, levels, levels_by_parts, simplify,
 };
 pub use sequence::{Collapse, CollapseSequence, SequenceReport};
 pub use texture_border::{BorderCost, TextureBorderOptions, TextureBorders};

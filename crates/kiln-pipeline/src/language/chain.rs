@@ -12,7 +12,9 @@
 
 use super::diagnostic::{Code, Origin, Report, nearest, suggest};
 use super::length::{Length, Unit};
-use super::options::{BakeMethod, Kind, LevelBudget, Metric, Normals, Placement, RuleLevel, SubmeshRule};
+use super::options::{
+    BakeMethod, Kind, LevelBudget, Metric, Normals, PackLayout, PackVertices, Placement, RuleLevel, SubmeshRule,
+};
 use super::pipeline::{RelativeTo, Stage, StageInput, StageSettings};
 use super::read::Draft;
 
@@ -79,6 +81,7 @@ pub(crate) fn check(drafts: Vec<Draft>, report: &mut Report) -> Option<Vec<Stage
         walk.rules(index, &inputs);
     }
     walk.pack();
+    walk.layouts(&inputs);
     walk.left_over(&inputs);
     let only_doubts = walk.report.found()[before..].iter().all(|d| d.severity == super::Severity::Warning);
     if !only_doubts {
@@ -459,6 +462,59 @@ impl Walk<'_> {
                     self.refuse(*extra, Code::ChainPack, message, "a second pack", help);
                 }
             }
+        }
+    }
+
+    /// Layouts that ask something of the levels: a sliding window and shared vertices are cut from one sequence of half-edge collapses.
+    fn layouts(&mut self, inputs: &[Option<StageInput>]) {
+        let drafts = self.drafts;
+        let Some(last) = drafts.len().checked_sub(1) else { return };
+        let Some(StageSettings::Pack(pack)) = &drafts[last].settings else { return };
+        let window = pack.layouts.contains(&PackLayout::SlidingWindow);
+        let who = match pack.vertices {
+            _ if window => "a sliding window",
+            PackVertices::Shared => "a shared vertex buffer",
+            PackVertices::Own => return,
+        };
+        let mut at = last;
+        while let Some(StageInput::Stage(before)) = inputs[at] {
+            at = before;
+            let Some(StageSettings::Simplify(options)) = &drafts[at].settings else { continue };
+            let name = drafts[at].name();
+            let mut refuse = |what: &str, key: &str, label: &str, help: &str| {
+                let message = format!("{who} needs {what} in `{name}`");
+                self.report.add(Code::ChainLayout, drafts[at].origin(key), message, label, Some(help.to_owned()));
+            };
+            if options.placement == Placement::Free {
+                let help = "with placement = \"half-edge\" every level uses vertices of the finest";
+                refuse("placement = \"half-edge\"", "placement", "moves points", help);
+            }
+            if options.normals == Normals::Rebuild {
+                let help = "rebuild them in a simplify stage of one level before it";
+                refuse("normals = \"keep\"", "normals", "makes new ones at each level", help);
+            }
+            if window && options.prune.is_some() {
+                let help = "leave `prune` out: loose components go by collapses as far as they can";
+                refuse("levels without `prune`", "prune", "no collapse tells what went", help);
+            }
+            let ruled = |draft: &Draft| match &draft.settings {
+                Some(StageSettings::Simplify(options)) => !options.submesh.0.is_empty(),
+                _ => false,
+            };
+            // Rules hold for all later stages.
+            let mut ruling = Some(at).filter(|at| ruled(&drafts[*at]));
+            let mut earlier = at;
+            while let (None, Some(StageInput::Stage(before))) = (ruling, inputs[earlier]) {
+                earlier = before;
+                ruling = Some(earlier).filter(|at| ruled(&drafts[*at]));
+            }
+            if let Some(ruling) = ruling.filter(|_| window) {
+                let message = format!("{who} has one order of collapses, and rules for submeshes ask for others");
+                let help = Some(String::from("leave the rules or the layout out"));
+                let origin = drafts[ruling].origin("submesh[0].name");
+                self.report.add(Code::ChainLayout, origin, message, "a rule of its own", help);
+            }
+            return;
         }
     }
 

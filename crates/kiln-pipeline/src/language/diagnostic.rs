@@ -99,6 +99,7 @@ codes! {
     ChainPack         "chain.pack"           Invalid     "The pipeline does not end in exactly one pack."
     ChainNormals      "chain.normals"        Invalid     "Normals would be rebuilt under a tangent-space map that belongs to the old ones."
     ChainPlacement    "chain.placement"      Invalid     "A metric that places points itself is asked to leave them where they are."
+    ChainLayout       "chain.layout"         Invalid     "A layout needs levels that are cut another way."
     ChainUnused       "chain.unused"         Doubt       "No later stage takes what this stage makes."
     TemplateUnknown   "template.unknown"     Invalid     "An output template names something other than {path} and {name}."
     GlobSyntax        "glob.syntax"          Invalid     "A glob is malformed."

@@ -277,16 +277,48 @@ choices! {
 choices! {
     /// An arrangement of levels in the container.
     pub enum PackLayout {
-        /// Each level with its own index range over shared vertices.
+        /// Each level with its own index range; without it only the finest level is there beside the other layouts.
         "discrete" => Discrete,
-        later {
-            /// Vertices in collapse order, any triangle count without a new buffer.
-            "sliding-window",
-            /// Octree clusters in tree and leaf buffers.
-            "tree-leaf",
-            /// A cluster DAG.
-            "clusters",
-        }
+        /// Vertices in collapse order: any triangle count is a prefix of one vertex and one index buffer. Needs half-edge placement.
+        "sliding-window" => SlidingWindow,
+        /// Octree clusters in tree and leaf buffers, as Kanaya et al. print them: any detail in three reads a vertex.
+        "tree-leaf" => TreeLeaf,
+        /// The same octree with one texel a node.
+        "compact-tree" => CompactTree,
+        /// A cluster DAG: meshlets of at most 128 triangles that are chosen one by one for a view.
+        "clusters" => Clusters,
+    }
+}
+
+choices! {
+    /// Whose vertices the levels use.
+    pub enum PackVertices {
+        /// Each level has its own: coarse levels are usable before finer ones have arrived.
+        "own" => Own,
+        /// All levels use the finest one's, coarse ones its first: smaller. Needs half-edge placement.
+        "shared" => Shared,
+    }
+}
+
+choices! {
+    /// How payload is stored.
+    pub enum PackCompression {
+        /// As it lies in memory: mapped and lent without a copy.
+        "none" => None,
+        /// Geometry by the meshopt codecs, which decode at memory speed, the rest by zstd; lossless.
+        "meshopt" => Meshopt,
+        /// All by zstd; lossless.
+        "zstd" => Zstd,
+    }
+}
+
+choices! {
+    /// Where an octree's node stands for its vertices.
+    pub enum TreeNodes {
+        /// At their mean.
+        "mean" => Mean,
+        /// Where the planes of their faces are nearest.
+        "quadric" => Quadric,
     }
 }
 
@@ -479,6 +511,14 @@ options! {
         "layouts" => layouts: Vec<PackLayout>, default(vec![PackLayout::Discrete]);
         /// How the texels of materials' textures are stored.
         "textures" => textures: TextureCoding, default(TextureCoding::Raw);
+        /// Whose vertices the levels use.
+        "vertices" => vertices: PackVertices, default(PackVertices::Own);
+        /// How payload is stored.
+        "compression" => compression: PackCompression, default(PackCompression::None);
+        /// Where an octree's node stands for its vertices, in the layouts `tree-leaf` and `compact-tree`.
+        "nodes" => nodes: TreeNodes, default(TreeNodes::Quadric);
+        /// Places on the scale of detail of each of these layouts at which the error is measured, the ends among them; the runtime chooses by them.
+        "checkpoints" => checkpoints: u32, default(24), within 2..=256;
     }
 }
 

@@ -5,6 +5,7 @@
 
 pub(crate) mod atlas;
 pub(crate) mod bake;
+pub(crate) mod continuous;
 mod debug;
 pub(crate) mod import;
 pub(crate) mod merge;
@@ -55,6 +56,9 @@ pub enum StageError {
     /// The views of a metric cannot be used.
     #[error("{0}")]
     Views(#[from] kiln_lod::simplify::viewpoint::ViewpointError),
+    /// A layout cannot be made of these levels.
+    #[error("{0}")]
+    Layout(String),
     /// No GPU where one was asked for.
     #[error("{0}")]
     Gpu(String),
@@ -99,6 +103,10 @@ pub(crate) fn params(settings: &StageSettings, not: &[&str]) -> Vec<(String, Val
 /// The input `name` as levels; a mesh, as merge gives it, is one level without error.
 pub(crate) fn load_levels(context: &Context<'_>, name: &str) -> Result<LodSet, ActionError> {
     Ok(levels_of(&context.input(name)?).map_err(StageError::Blob)?)
+}
+
+pub(crate) fn no_level() -> ActionError {
+    StageError::Defect("the stage before gave no level".into()).into()
 }
 
 /// Levels, or a mesh as one level, out of a stage's bytes.
@@ -168,7 +176,10 @@ pub(crate) fn version(kind: Kind) -> String {
         }
         Kind::Atlas => atlas::VERSION.to_string(),
         Kind::Bake => bake::VERSION.to_string(),
-        Kind::Pack => pack::VERSION.to_string(),
+        Kind::Pack => {
+            let layouts = [continuous::WINDOW_VERSION, continuous::TREE_VERSION, continuous::CLUSTERS_VERSION];
+            format!("{}.{}.{}.{}", pack::VERSION, layouts[0], layouts[1], layouts[2])
+        }
     }
 }
 

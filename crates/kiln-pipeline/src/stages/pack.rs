@@ -6,12 +6,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 use kiln_asset::import::{ImageLimits, decode_image};
 use kiln_asset::{DeepRaster, ImageFormat, ImageId, Raster};
 use kiln_engine::{Action, ActionError, ContentHash, Context, Outputs, Source};
-use kiln_pack::{Coding, PackOptions, Picture, Provenance, pack};
+use kiln_lod::cluster_dag::ClusterDag;
+use kiln_pack::{Coding, Compression, Continuous, Layout, PackOptions, Picture, Provenance, Vertices, pack};
 
-use super::{StageError, import, json, load_images, load_levels, load_materials, params};
+use super::{StageError, continuous, import, json, load_images, load_levels, load_materials, params};
 use crate::foreign;
 use crate::language::StageSettings;
-use crate::language::options::{self, TextureCoding};
+use crate::language::options::{self, PackCompression, PackLayout, PackVertices, TextureCoding};
 
 /// Raised whenever the same input and parameters give other bytes.
 pub(crate) const VERSION: u32 = 1;
@@ -27,26 +28,42 @@ pub(crate) struct MadeBy {
     pub(crate) device_class: Option<String>,
 }
 
+/// What is packed.
+pub(crate) struct Inputs {
+    /// The levels.
+    pub(crate) levels: Source,
+    /// The action whose `materials` and `image/N` belong to them.
+    pub(crate) materials: usize,
+    /// Names and hashes of the files that the model was read from.
+    pub(crate) files: Source,
+    /// The continuous layouts that were made: `window`, `tree`, `clusters`.
+    pub(crate) layouts: Vec<(&'static str, Source)>,
+}
+
+/// Keys that only the layouts' own actions read.
+const LAYOUT_KEYS: [&str; 2] = ["nodes", "checkpoints"];
+
 /// Output: `container`.
 pub(crate) fn action(
     id: String,
     label: String,
     options: &options::PackOptions,
-    levels: Source,
-    materials: usize,
-    inputs: Source,
+    inputs: Inputs,
     made_by: MadeBy,
 ) -> Action {
     let stages: String = made_by.stages.iter().map(|(id, version)| format!("{id} {version}; ")).collect();
     let made = made_by.clone();
-    let own = PackOptions { textures: coding(options.textures), ..PackOptions::default() };
+    let own = own_options(options);
     let mut action = Action::new(id, "pack", VERSION, move |context| run(context, &made, &own))
-        .input("levels", levels)
-        .input("materials", Source::output(materials, "materials"))
-        .input("images", Source::outputs(materials, "image/"))
-        .input("inputs", inputs);
+        .input("levels", inputs.levels)
+        .input("materials", Source::output(inputs.materials, "materials"))
+        .input("images", Source::outputs(inputs.materials, "image/"))
+        .input("inputs", inputs.files);
+    for (name, source) in inputs.layouts {
+        action = action.input(name, source);
+    }
     action.label = label;
-    action.params = params(&StageSettings::Pack(options.clone()), &[]);
+    action.params = params(&StageSettings::Pack(options.clone()), &LAYOUT_KEYS);
     // The container tells these, so they are part of what it is made from.
     action = action.param("pipeline", made_by.pipeline).param("stages", stages).param("tool", TOOL);
     if let Some(class) = made_by.device_class {
@@ -54,19 +71,51 @@ pub(crate) fn action(
     }
     action.foreign = vec![foreign::BASISU.into(), foreign::EXR.into(), foreign::GLAM.into(), foreign::IMAGE.into()];
     action.foreign.extend(foreign::oiio());
-    action.numeric_class = Some(foreign::NUMERIC_CLASS.into());
+    action.numeric_class = Some(numeric_class(&own_options(options)));
     if options.textures == TextureCoding::Bc {
-        // The encoder of BC7 is C++.
         action.foreign.push(foreign::BC7F.into());
-        action.numeric_class = Some(foreign::cxx_class());
+    }
+    if options.vertices == PackVertices::Shared || options.compression == PackCompression::Meshopt {
+        action.foreign.push(foreign::MESHOPT.into());
+    }
+    if options.compression != PackCompression::None {
+        action.foreign.push(foreign::ZSTD.into());
     }
     action
 }
 
-fn coding(choice: TextureCoding) -> Coding {
-    match choice {
-        TextureCoding::Raw => Coding::Raw,
-        TextureCoding::Bc => Coding::Bc,
+/// Where the same bytes come out: the encoder of BC7 and what orders triangles for a cache are C++ with floating point.
+fn numeric_class(options: &PackOptions) -> String {
+    let cxx = options.textures == Coding::Bc
+        || options.vertices == Vertices::Shared
+        || options.compression == Compression::Meshopt;
+    if cxx { foreign::cxx_class() } else { foreign::NUMERIC_CLASS.into() }
+}
+
+fn own_options(options: &options::PackOptions) -> PackOptions {
+    let layout = |layout: &PackLayout| match layout {
+        PackLayout::Discrete => Layout::Discrete,
+        PackLayout::SlidingWindow => Layout::SlidingWindow,
+        PackLayout::TreeLeaf => Layout::TreeLeaf,
+        PackLayout::CompactTree => Layout::CompactTree,
+        PackLayout::Clusters => Layout::Clusters,
+    };
+    PackOptions {
+        layouts: options.layouts.iter().map(layout).collect(),
+        textures: match options.textures {
+            TextureCoding::Raw => Coding::Raw,
+            TextureCoding::Bc => Coding::Bc,
+        },
+        vertices: match options.vertices {
+            PackVertices::Own => Vertices::Own,
+            PackVertices::Shared => Vertices::Shared,
+        },
+        compression: match options.compression {
+            PackCompression::None => Compression::None,
+            PackCompression::Meshopt => Compression::Meshopt,
+            PackCompression::Zstd => Compression::Zstd,
+        },
+        ..PackOptions::default()
     }
 }
 
@@ -81,18 +130,32 @@ fn run(context: &Context<'_>, made_by: &MadeBy, options: &PackOptions) -> Result
     let provenance = Provenance {
         pipeline: made_by.pipeline.0,
         tool: TOOL.into(),
-        numeric_class: match options.textures {
-            Coding::Raw => foreign::NUMERIC_CLASS.into(),
-            Coding::Bc => foreign::cxx_class(),
-        },
+        numeric_class: numeric_class(options),
         device_class: made_by.device_class.clone().unwrap_or_default(),
         inputs,
         stages: made_by.stages.clone(),
     };
     let pictures = Pictures::new(&images, materials.images.iter().map(|i| i.format).collect());
     let decode = |image: ImageId| pictures.picture(image);
-    let (bytes, report) = pack(&levels, &materials, &decode, &provenance, options).map_err(StageError::Pack)?;
+    let layouts = layouts(context)?;
+    let (bytes, report) = pack(&levels, &materials, &decode, &provenance, options, &layouts).map_err(StageError::Pack)?;
     Ok(Outputs::new().with("container", bytes).report(json(&report)))
+}
+
+/// The continuous layouts among the inputs.
+fn layouts(context: &Context<'_>) -> Result<Continuous, ActionError> {
+    let mut layouts = Continuous::default();
+    if context.has_input("window") {
+        layouts.window =
+            Some(continuous::window_from_blob(&context.input("window")?).map_err(StageError::Blob)?);
+    }
+    if context.has_input("tree") {
+        layouts.tree = Some(continuous::tree_from_blob(&context.input("tree")?).map_err(StageError::Blob)?);
+    }
+    if context.has_input("clusters") {
+        layouts.clusters = Some(ClusterDag::from_blob(&context.input("clusters")?).map_err(StageError::Blob)?);
+    }
+    Ok(layouts)
 }
 
 /// Pictures decoded when they are first asked for.

@@ -21,7 +21,7 @@ use kiln_lod::simplify::{
 use serde::Serialize;
 
 use super::pack::Pictures;
-use super::{StageError, json, load_images, load_levels, load_materials, params};
+use super::{StageError, json, load_images, load_levels, load_materials, no_level, params};
 use crate::foreign;
 use crate::language::diagnostic::suggest;
 use crate::language::options::{self, BoundaryRule, Normals, RuleLevel, SubmeshRule};
@@ -245,29 +245,45 @@ struct PartsReport {
     collapses: usize,
 }
 
-/// Output: `levels`. `source` is the mesh that errors are measured against; `rules` those of the stage and of earlier ones, and
-/// `dependencies` is there where there are any.
+/// What the cut of one stage goes by, beside the stage's options and inputs.
+pub(crate) struct Cut {
+    /// The rules of the stage and of earlier ones.
+    pub(crate) rules: Vec<HeldRule>,
+    /// The stage's collapse sequence.
+    pub(crate) sequence: Source,
+    /// The mesh that errors are measured against.
+    pub(crate) source: Source,
+    /// There where there are rules.
+    pub(crate) dependencies: Option<Source>,
+    /// Whether all levels are to have vertices of the finest: then normals that a model lacks are made before the cut, smooth ones.
+    pub(crate) shares_vertices: bool,
+}
+
+/// Output: `levels`.
 pub(crate) fn levels_action(
     id: String,
     label: String,
     options: &options::SimplifyOptions,
-    rules: Vec<HeldRule>,
     inputs: &Inputs,
-    [sequence, source]: [Source; 2],
-    dependencies: Option<Source>,
+    by: Cut,
 ) -> Action {
+    let Cut { rules, sequence, source, dependencies, shares_vertices } = by;
     let (own, held) = (options.clone(), rules.clone());
-    let mut action = Action::new(id, "levels", LEVELS_VERSION, move |context| cut(context, &own, &held))
-        .input("in", inputs.before.clone())
-        .input("sequence", sequence)
-        .input("source", source);
+    let mut action =
+        Action::new(id, "levels", LEVELS_VERSION, move |context| cut(context, &own, &held, shares_vertices))
+            .input("in", inputs.before.clone())
+            .input("sequence", sequence)
+            .input("source", source);
     if let Some(dependencies) = dependencies {
         action = action.input("dependencies", dependencies);
+    }
+    if shares_vertices {
+        action = action.param("shares-vertices", true);
     }
     action.label = label;
     let all = params(&StageSettings::Simplify(options.clone()), &[]);
     let reads = |name: &str| LEVEL_KEYS.contains(&name) || SHARED_KEYS.contains(&name);
-    action.params = all.into_iter().filter(|(name, _)| reads(name)).collect();
+    action.params.extend(all.into_iter().filter(|(name, _)| reads(name)));
     let earlier: Vec<SubmeshRule> = rules.into_iter().filter(|(_, met)| *met).map(|(rule, _)| rule).collect();
     if !earlier.is_empty() {
         let text = options::rules_text(&earlier);
@@ -281,10 +297,6 @@ pub(crate) fn levels_action(
 /// Materials are read where some are locked.
 fn with_materials(action: Action, options: &options::SimplifyOptions, inputs: &Inputs) -> Action {
     if options.lock.0.is_empty() { action } else { action.input("materials", inputs.materials.clone()) }
-}
-
-fn no_level() -> ActionError {
-    StageError::Defect("the stage before gave no level".into()).into()
 }
 
 fn collapse_options(options: &options::SimplifyOptions) -> SimplifyOptions {
@@ -354,8 +366,16 @@ struct Report {
     short: Vec<String>,
 }
 
-fn cut(context: &Context<'_>, options: &options::SimplifyOptions, rules: &[HeldRule]) -> Result<Outputs, ActionError> {
-    let set = load_levels(context, "in")?;
+fn cut(
+    context: &Context<'_>,
+    options: &options::SimplifyOptions,
+    rules: &[HeldRule],
+    shares_vertices: bool,
+) -> Result<Outputs, ActionError> {
+    let mut set = load_levels(context, "in")?;
+    if let Some(finest) = set.levels.first_mut().filter(|finest| shares_vertices && needs_normals(&finest.mesh)) {
+        finest.mesh = normals::smooth(&finest.mesh);
+    }
     let source = Mesh::from_blob(&context.input("source")?).map_err(StageError::Blob)?;
     let Some(finest) = set.levels.first() else { return Err(no_level()) };
     let sequence = CollapseSequence::from_blob(&context.input("sequence")?).map_err(StageError::Blob)?;

@@ -64,8 +64,47 @@ pub const WINDOW_PICK: Shader = Shader {
     twin: "crates/kiln-runtime/src/window/pick.rs",
 };
 
+/// Vertices' picks in a compact tree.
+pub const TREE_COMPACT_PICK: Shader = Shader {
+    name: "tree_compact_pick",
+    source: include_str!("../tree_compact_pick.wgsl"),
+    twin: "crates/kiln-runtime/src/tree/compact.rs",
+};
+
+/// Draws what vertices pick: goes behind one of the two picks in trees.
+pub const TREE_DRAW: Shader = Shader {
+    name: "tree_draw",
+    source: include_str!("../tree_draw.wgsl"),
+    twin: "crates/kiln-runtime/src/tree/mod.rs",
+};
+
+/// The triangles alive at a threshold of a tree, and their draws' arguments.
+pub const TREE_DRAW_LIST: Shader = Shader {
+    name: "tree_draw_list",
+    source: include_str!("../tree_draw_list.wgsl"),
+    twin: "crates/kiln-runtime/src/tree/draw_list.rs",
+};
+
+/// Vertices' picks in tree and leaf buffers.
+pub const TREE_LEAF_PICK: Shader = Shader {
+    name: "tree_leaf_pick",
+    source: include_str!("../tree_leaf_pick.wgsl"),
+    twin: "crates/kiln-runtime/src/tree/tree_leaf.rs",
+};
+
 /// All passes, by name.
-pub const ALL: &[Shader] = &[APPLY_MAPS, FORMULA, MIRRORED_VERTEX, PRICE, WINDOW_DRAW, WINDOW_PICK];
+pub const ALL: &[Shader] = &[
+    APPLY_MAPS,
+    FORMULA,
+    MIRRORED_VERTEX,
+    PRICE,
+    TREE_COMPACT_PICK,
+    TREE_DRAW,
+    TREE_DRAW_LIST,
+    TREE_LEAF_PICK,
+    WINDOW_DRAW,
+    WINDOW_PICK,
+];
 
 #[cfg(test)]
 mod tests {

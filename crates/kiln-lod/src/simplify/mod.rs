@@ -69,6 +69,7 @@ pub use error::surface_error;
 pub use levels::{
     Budget, LevelReport, LevelsOptions, Parts, Placement, SAMPLES, SimplifyReport, cut, levels, levels_by_parts, simplify,
 };
+pub(crate) use metric::quadric::Quadric;
 pub use sequence::{Collapse, CollapseSequence, SequenceReport};
 pub use texture_border::{BorderCost, TextureBorderOptions, TextureBorders};
 

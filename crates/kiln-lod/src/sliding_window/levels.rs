@@ -8,10 +8,6 @@ use super::{SlidingWindow, WindowError};
 use crate::checkpoint::Checkpoint;
 use crate::simplify::error::Surface;
 
-/// Checkpoints between the first and the last, each with the same share of points less than the one before: at 24 a step from a
-/// million points to a hundred takes away a third, below which the eye sees no step.
-const BETWEEN: u32 = 24;
-
 impl SlidingWindow {
     /// `level0` in the window's order, with all its attributes. Its vertices and faces are those of the level that the window was
     /// made of, in that order; positions, attributes and points may be others.
@@ -146,7 +142,8 @@ impl SlidingWindow {
         Ok(Mesh::new(level0.gather(&keep, triangles, face_submesh))?)
     }
 
-    /// Measured places from LOD 0 to the coarsest: both, 24 between them, and those of `lods`. `level0`: in the window's order.
+    /// Measured places: `count` (at least 2) from LOD 0 to the coarsest, each with the same share of points less than the one before,
+    /// and those of `lods`. `level0`: in the window's order.
     ///
     /// # Errors
     /// `level0` is another level.
@@ -154,9 +151,10 @@ impl SlidingWindow {
         &self,
         level0: &Mesh,
         source: &Surface<'_>,
+        count: usize,
         lods: &[u32],
     ) -> Result<Vec<Checkpoint>, WindowError> {
-        let mut details: Vec<u32> = self.details().chain(lods.iter().map(|lod| *lod.min(&self.collapses))).collect();
+        let mut details: Vec<u32> = self.details(count.max(2) as u32).chain(lods.iter().map(|lod| *lod.min(&self.collapses))).collect();
         details.sort_unstable();
         details.dedup();
         let mut least = 0.0_f32;
@@ -171,7 +169,7 @@ impl SlidingWindow {
     }
 
     /// From 0 to the coarsest, the points that are left falling geometrically.
-    fn details(&self) -> impl Iterator<Item = u32> {
+    fn details(&self, count: u32) -> impl Iterator<Item = u32> {
         let points = match self.starts.is_empty() {
             true => self.vertex_count() as u32,
             false => self.starts.iter().map(|word| word.count_ones()).sum(),
@@ -179,11 +177,11 @@ impl SlidingWindow {
         let collapses = self.collapses;
         let base = f64::from((points - collapses).max(1));
         let left = move |k: u32| {
-            f64::from(points.max(1)) * libm::pow(base / f64::from(points.max(1)), f64::from(k) / f64::from(BETWEEN + 1))
+            f64::from(points.max(1)) * libm::pow(base / f64::from(points.max(1)), f64::from(k) / f64::from(count - 1))
         };
-        (0..=BETWEEN + 1).map(move |k| match k {
+        (0..count).map(move |k| match k {
             0 => 0,
-            k if k > BETWEEN => collapses,
+            k if k + 1 == count => collapses,
             k => points.saturating_sub(left(k).round() as u32).min(collapses),
         })
     }

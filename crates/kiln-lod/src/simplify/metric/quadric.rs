@@ -38,7 +38,7 @@ pub(crate) struct Quadric {
 
 impl Quadric {
     /// `scale` times the square distance to the plane through the origin with unit normal `n`; stands for `weight`.
-    fn plane(n: DVec3, scale: f64, weight: f64) -> Quadric {
+    pub(crate) fn plane(n: DVec3, scale: f64, weight: f64) -> Quadric {
         let m = n * scale;
         Quadric {
             xx: m.x * n.x,

@@ -1,1 +1,0 @@
-//! Tree and leaf buffers: picking.

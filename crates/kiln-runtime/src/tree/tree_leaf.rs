@@ -1,0 +1,177 @@
+//! Picking in tree and leaf buffers; CPU twin of `shaders/tree_leaf_pick.wgsl`.
+
+use std::ops::Range;
+
+use kiln_format::layout::TreeLeafView;
+
+use super::{Place, RLevel, Scale};
+
+/// Tree and leaf buffers, ready to pick from.
+#[derive(Clone, Copy, Debug)]
+pub struct TreeLeaf<'a> {
+    view: TreeLeafView<'a>,
+}
+
+/// Numbers of a pass, the same for all vertices.
+#[derive(Clone, Copy)]
+struct Pass {
+    /// Texels of a row and of a block.
+    width: f64,
+    block: f64,
+    row: f64,
+    fraction: f32,
+}
+
+/// What a vertex may stand at.
+#[derive(Clone, Copy)]
+struct Fetch {
+    /// The first texel to look at, if any, and the one behind it; `None`: the leaf.
+    texel: u32,
+    below: u32,
+    case: Case,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Case {
+    /// d <= 0.
+    Leaf,
+    /// 0 < d <= 1.
+    Terminal,
+    /// d > 1.
+    Column,
+}
+
+impl<'a> TreeLeaf<'a> {
+    /// Wraps a view.
+    pub fn new(view: TreeLeafView<'a>) -> TreeLeaf<'a> {
+        TreeLeaf { view }
+    }
+
+    /// Checkpoints and counts.
+    pub fn scale(&self) -> Scale<'a> {
+        let view = &self.view;
+        Scale { checkpoints: view.checkpoints, row_starts: view.row_starts, face_counts: view.face_counts }
+    }
+
+    /// Vertices.
+    pub fn vertex_count(&self) -> usize {
+        self.view.leaf.len()
+    }
+
+    /// Writes the picks of the vertices `range` at `r`: `out[i]` for vertex `range.start + i`, as far as both reach.
+    ///
+    /// # Source
+    /// Kanaya et al. 2011, pass 2, cases as they must be (the print has the second one's branches swapped).
+    pub fn pick<P: Place>(&self, r: RLevel, range: Range<usize>, out: &mut [P]) {
+        let end = range.end.min(self.view.leaf.len());
+        let leaves = self.view.leaf.get(range.start..end).unwrap_or(&[]);
+        let (pass, tree) = (self.pass(r), self.view.tree);
+        for (leaf, out) in leaves.iter().zip(out) {
+            let [x, y, z, pointer] = *leaf;
+            *out = P::at(pass.pick(pointer, [x, y, z], |texel| tree.get(texel as usize).copied().unwrap_or([0.0; 4])));
+        }
+    }
+
+    /// [`TreeLeaf::pick`] at `threshold`.
+    pub fn pick_at<P: Place>(&self, threshold: u32, range: Range<usize>, out: &mut [P]) {
+        self.pick(self.scale().r_of(threshold), range, out);
+    }
+
+    fn pass(&self, r: RLevel) -> Pass {
+        let header = &self.view.header;
+        let width = f64::from(header.width.max(1));
+        Pass { width, block: width * f64::from(header.rows.max(1)), row: f64::from(r.row), fraction: r.fraction }
+    }
+
+    /// [`TreeLeaf::pick`] of one vertex, with the number of texels that were read.
+    #[cfg(test)]
+    pub(crate) fn counted(&self, r: RLevel, vertex: usize) -> ([f32; 3], u32) {
+        let count = std::cell::Cell::new(1);
+        let [x, y, z, pointer] = self.view.leaf[vertex];
+        let pick = self.pass(r).pick(pointer, [x, y, z], |texel| {
+            count.set(count.get() + 1);
+            self.view.tree[texel as usize]
+        });
+        (pick, count.get())
+    }
+
+    /// `deaths[i]` for triangle i of `indices`: rank of the node at which two corners of it first share their pick; a triangle with an
+    /// index out of range never lives.
+    ///
+    /// Columns are equal from the root down to where they part, so their last equal row is found by bisection; cells of one row
+    /// are disjoint and hold their positions, so texels at equal places are one node's.
+    pub fn deaths(&self, triangles: &[[u32; 3]], deaths: &mut [u32]) {
+        for (triangle, death) in triangles.iter().zip(deaths) {
+            let [a, b, c] = *triangle;
+            let meets = [(a, b), (b, c), (c, a)].map(|(a, b)| self.meet(a, b));
+            *death = meets.into_iter().max().unwrap_or(u32::MAX);
+        }
+    }
+
+    /// Rank of the deepest node over both vertices.
+    fn meet(&self, a: u32, b: u32) -> u32 {
+        let (Some(a), Some(b)) = (self.column(a), self.column(b)) else { return u32::MAX };
+        let texel = |(base, _): (u32, u32), row: u32| {
+            let texel = u64::from(base) + u64::from(row) * u64::from(self.view.header.width);
+            self.view.tree.get(texel as usize).copied().unwrap_or([0.0; 4])
+        };
+        let same = |row: u32| {
+            let ([ax, ay, az, _], [bx, by, bz, _]) = (texel(a, row), texel(b, row));
+            [ax, ay, az] == [bx, by, bz]
+        };
+        let (mut low, mut high) = (0, a.1.min(b.1));
+        while low < high {
+            let row = low + (high - low).div_ceil(2);
+            if same(row) { low = row } else { high = row - 1 }
+        }
+        let (start, end) = self.scale().row(low as usize);
+        let k = (texel(a, low)[3] * end.saturating_sub(start) as f32).round() as u32;
+        start.saturating_add(k.saturating_sub(1))
+    }
+
+    /// Number of the first texel of a vertex' column, and its terminal node's row.
+    fn column(&self, vertex: u32) -> Option<(u32, u32)> {
+        let pointer = self.view.leaf.get(vertex as usize)?[3] as u32;
+        let (width, rows) = (self.view.header.width.max(1), self.view.header.rows.max(1));
+        let row = pointer / width % rows;
+        Some((pointer - row * width, row))
+    }
+}
+
+impl Pass {
+    /// Where a pointer leads. Whole numbers below 2^24 divide exactly by a product with the inverse, half a unit added.
+    #[inline(always)]
+    fn fetch(&self, pointer: f32) -> Fetch {
+        // Hostile pointers: NaN and negative ones are 0, large ones are caught where texels are read.
+        let pointer = f64::from(pointer).max(0.0).min(16_777_215.0);
+        let block = ((pointer + 0.5) * (1.0 / self.block)) as u32;
+        let inside = pointer - f64::from(block) * self.block;
+        let terminal_row = f64::from(((inside + 0.5) * (1.0 / self.width)) as u32);
+        let above = terminal_row - self.row;
+        // d = terminal_row + 1 - row - fraction.
+        let case = match above {
+            _ if above < 0.0 => Case::Leaf,
+            _ if above < 1.0 => Case::Terminal,
+            _ => Case::Column,
+        };
+        let texel = pointer - above.max(0.0) * self.width;
+        Fetch { texel: texel as u32, below: (texel + self.width) as u32, case }
+    }
+
+    #[inline(always)]
+    fn pick(&self, pointer: f32, leaf: [f32; 3], read: impl Fn(u32) -> [f32; 4]) -> [f32; 3] {
+        let fetch = self.fetch(pointer);
+        if fetch.case == Case::Leaf {
+            return leaf;
+        }
+        let [x, y, z, q] = read(fetch.texel);
+        if q > self.fraction {
+            return [x, y, z];
+        }
+        if fetch.case == Case::Terminal {
+            return leaf;
+        }
+        let [x, y, z, _] = read(fetch.below);
+        [x, y, z]
+    }
+}

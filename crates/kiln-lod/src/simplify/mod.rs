@@ -182,6 +182,31 @@ pub fn collapse_under(
     collapse_prepared(mesh, &topology, &forms, layout, options, &locked, conditions.borders)
 }
 
+/// The collapse sequence of a patch of a larger mesh by planes, and what each point that took others in gained by it, object space.
+/// `carried`: `[point_count]` forms, object space; `fixed`: `[point_count]`, on which faces beyond the patch hang: these points stay
+/// where they are, and no edge comes between two of them that was not there, so the larger mesh stays as sound as it is.
+pub(crate) fn collapse_patch(
+    mesh: &Mesh,
+    carried: &[QuadricCoefficients],
+    options: &SimplifyOptions,
+    fixed: &[bool],
+) -> (CollapseSequence, Vec<(u32, QuadricCoefficients)>) {
+    let topology = Topology::new(mesh);
+    let mut forms = Forms::new(mesh, &topology, carried, options);
+    let mut rest = Rest::new(mesh, &topology, forms.positions(), options);
+    rest.fix(fixed);
+    let metric = QuadricRest::new(forms.initial(), &mut rest);
+    let sequence = ordered(rest, metric, None, None);
+    forms.go_to(&sequence, sequence.collapses.len());
+    (sequence, forms.gained())
+}
+
+/// The forms of a mesh before any collapse, `[point_count]`, object space.
+pub(crate) fn first_forms(mesh: &Mesh, options: &SimplifyOptions) -> Vec<QuadricCoefficients> {
+    let forms = Forms::new(mesh, &Topology::new(mesh), &[], options);
+    forms.object_space(&(0..mesh.point_count() as u32).collect::<Vec<_>>())
+}
+
 fn collapse_prepared(
     mesh: &Mesh,
     topology: &Topology,

@@ -26,6 +26,8 @@ pub(super) struct RestPoint {
     since: u32,
     kind: PointKind,
     parted: bool,
+    /// As in [`Point`].
+    fixed: bool,
 }
 
 /// A face; `points[0]` is [`NONE`] once it has vanished.
@@ -76,6 +78,7 @@ impl<'a> Rest<'a> {
                     kind => kind,
                 },
                 parted: false,
+                fixed: false,
             })
             .collect();
         let mut seen = vec![false; points.len()];
@@ -105,6 +108,12 @@ impl<'a> Rest<'a> {
                 point.kind = PointKind::Locked;
             }
         }
+    }
+
+    /// As [`Rest::lock`] for points on which faces beyond the mesh hang: no new edge comes between two of them either.
+    pub(super) fn fix(&mut self, fixed: &[bool]) {
+        self.lock(fixed);
+        self.points.iter_mut().zip(fixed).for_each(|(point, fixed)| point.fixed = *fixed);
     }
 
     /// The faces that are left, along a Z-curve. `shift`, 0 to 1, moves the cells of the curve over the mesh.
@@ -195,6 +204,7 @@ impl<'a> Rest<'a> {
                 state: State::Out,
                 parted: point.parted,
                 held,
+                fixed: point.fixed,
             });
             first += room;
         }

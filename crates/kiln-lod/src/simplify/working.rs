@@ -40,6 +40,8 @@ pub(super) struct Point {
     pub(super) parted: bool,
     /// Whether some of its faces lie in another part: then it neither goes nor takes others in.
     pub(super) held: bool,
+    /// Whether faces beyond the mesh hang on it: then no new edge may lead from it to another such point.
+    pub(super) fixed: bool,
 }
 
 /// Faces at a point above which its attributes are priced by one side of an edge.
@@ -316,6 +318,11 @@ impl<'a> Working<'a> {
         }
         let closes = |corner: &u32| self.others(*corner).iter().all(|p| self.points[*p as usize].mark == apex);
         if (closed && self.corners(from).iter().any(closes)) || (dying == count && !third_is_held) {
+            return Some(Rule::Link);
+        }
+        // What lies beyond the mesh may have that edge.
+        let fixed = |p: &u32| self.points[*p as usize].fixed && self.points[*p as usize].mark == beside;
+        if self.points[to as usize].fixed && self.corners(from).iter().any(|c| self.others(*c).iter().any(fixed)) {
             return Some(Rule::Link);
         }
         // A line must keep three points.

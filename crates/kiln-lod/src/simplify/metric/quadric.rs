@@ -273,6 +273,16 @@ impl Forms {
         self.grown[point as usize].then(|| self.quadrics[point as usize])
     }
 
+    /// The points that took others in, and by what their forms grew, object space.
+    pub(in crate::simplify) fn gained(&self) -> Vec<(u32, QuadricCoefficients)> {
+        let of = |p: usize| {
+            let (now, first) = (self.quadrics[p].coefficients(), self.initial[p].coefficients());
+            let gain = std::array::from_fn(|i| now[i] - first[i]);
+            (p as u32, Quadric::from_coefficients(&gain).about(-self.positions[p]).coefficients())
+        };
+        (0..self.quadrics.len()).filter(|p| self.grown[*p]).map(of).collect()
+    }
+
     /// Object-space forms of the points `points`.
     pub(in crate::simplify) fn object_space(&self, points: &[u32]) -> Vec<QuadricCoefficients> {
         points.iter().map(|p| self.quadrics[*p as usize].about(-self.positions[*p as usize]).coefficients()).collect()

@@ -1,9 +1,10 @@
 //! A level set to a container and back; GLB, PNG, EXR and KTX2 out.
 //!
-//! [`pack()`] writes, [`unpack()`] reads back into asset values, [`inspect()`] tells what is in a file, [`glb`] hands levels to
-//! other tools, [`files`] textures. Bytes only: the caller reads and writes files.
+//! [`pack()`] writes, [`unpack()`] reads back into asset values, [`unpack_detail()`] what an engine draws of a layout, [`inspect()`] tells
+//! what is in a file, [`glb`] hands levels to other tools, [`files`] textures, [`trees`] tree and leaf buffers. Bytes only: the caller reads and writes files.
 
 mod bc;
+pub mod detail;
 pub mod files;
 pub mod glb;
 pub mod inspect;
@@ -18,6 +19,7 @@ mod textures;
 pub mod trees;
 pub mod unpack;
 
+pub use detail::{Detail, unpack_detail};
 pub use glb::{ExportLevels, ExportReport, export_container_glb, export_glb};
 pub use inspect::{InspectLayout, InspectReport, inspect};
 pub use kiln_format::{FormatError, Provenance};

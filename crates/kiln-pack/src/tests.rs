@@ -123,7 +123,7 @@ fn packed(levels: &LodSet) -> (Vec<u8>, PackReport) {
     let (set, rasters) = materials();
     let images = |image: ImageId| Ok(Picture::from(rasters[image.index()].clone()));
     let provenance = Provenance { tool: "kiln test".into(), ..Provenance::default() };
-    pack(levels, &set, &images, &provenance, &PackOptions::default()).expect("packs")
+    pack(levels, &set, &images, &provenance, &PackOptions::default(), &Continuous::default()).expect("packs")
 }
 
 #[test]
@@ -143,7 +143,7 @@ fn packing_what_was_unpacked_gives_the_same_bytes() {
     let (levels, set, rasters) = unpack(&bytes).expect("sound");
     let images = |image: ImageId| Ok(Picture::from(rasters[image.index()].clone()));
     let provenance = Provenance { tool: "kiln test".into(), ..Provenance::default() };
-    let (again, _) = pack(&levels, &set, &images, &provenance, &PackOptions::default()).expect("packs");
+    let (again, _) = pack(&levels, &set, &images, &provenance, &PackOptions::default(), &Continuous::default()).expect("packs");
     assert!(bytes == again, "{} and {} bytes differ", bytes.len(), again.len());
 }
 
@@ -210,7 +210,7 @@ fn what_cannot_be_packed_is_refused_with_its_place() {
     let (set, rasters) = materials();
     let images = |image: ImageId| Ok(Picture::from(rasters[image.index()].clone()));
     let refused = |levels: &LodSet, set: &MaterialSet| {
-        let done = pack(levels, set, &images, &Provenance::default(), &PackOptions::default());
+        let done = pack(levels, set, &images, &Provenance::default(), &PackOptions::default(), &Continuous::default());
         done.expect_err("invalid").to_string()
     };
     let mut bad = set.clone();
@@ -224,7 +224,7 @@ fn what_cannot_be_packed_is_refused_with_its_place() {
     bad.materials[0].roughness_factor = f32::NAN;
     assert!(refused(&levels(), &bad).contains("materials[0].factors"));
     let failing = |_: ImageId| Err("the file is gone".to_string());
-    let done = pack(&levels(), &set, &failing, &Provenance::default(), &PackOptions::default());
+    let done = pack(&levels(), &set, &failing, &Provenance::default(), &PackOptions::default(), &Continuous::default());
     assert_eq!(done.expect_err("no picture").to_string(), "image 0 (\"shared\"): the file is gone");
 }
 

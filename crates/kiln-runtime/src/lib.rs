@@ -32,9 +32,11 @@ pub use kiln_format::{
     TextureFormat, VertexFormat,
 };
 pub use material::{AlphaMode, Material, Mip, Sampler, Texture, TextureUse, Wrap};
+pub use tree::{Compact, TreeLeaf};
 pub use view::View;
+pub use window::Window;
 
-use kiln_format::{Container, record::NONE};
+use kiln_format::{ClusterView, Container, record::NONE};
 
 /// A checked container.
 pub struct Lods<'a> {
@@ -78,7 +80,7 @@ impl<'a> Lods<'a> {
     }
 
     /// A level, 0 the finest, if it is at hand.
-    pub fn level(&self, lod: usize) -> Option<LevelView<'a>> {
+    pub fn level(&self, lod: usize) -> Option<LevelView<'_>> {
         self.container.level(lod)
     }
 
@@ -103,6 +105,26 @@ impl<'a> Lods<'a> {
         let mut levels = (0..self.level_count()).filter(at_hand);
         let finest = levels.clone().next().unwrap_or(0);
         levels.rfind(fine_enough).unwrap_or(finest)
+    }
+
+    /// The sliding window over level 0, if there is one and level 0 is at hand.
+    pub fn window(&self) -> Option<Window<'_>> {
+        Some(Window::of_level(self.container.layouts().window?, &self.level(0)?))
+    }
+
+    /// Tree and leaf buffers, if there are some.
+    pub fn tree_leaf(&self) -> Option<TreeLeaf<'_>> {
+        Some(TreeLeaf::new(self.container.layouts().tree_leaf?))
+    }
+
+    /// The compact tree over level 0's positions, if there is one and level 0 is at hand.
+    pub fn compact_tree(&self) -> Option<Compact<'_>> {
+        Some(Compact::new(self.container.layouts().compact_tree?, self.level(0)?.positions()))
+    }
+
+    /// The cluster DAG over level 0's vertices, if there is one ([`clusters`]).
+    pub fn clusters(&self) -> Option<ClusterView<'_>> {
+        self.container.layouts().clusters
     }
 
     /// Number of submeshes; every level has one draw range for each.
@@ -140,14 +162,14 @@ impl<'a> Lods<'a> {
     }
 
     /// A mip of a texture, 0 the picture itself, if it is at hand.
-    pub fn mip(&self, texture: usize, mip: usize) -> Option<Mip<'a>> {
+    pub fn mip(&self, texture: usize, mip: usize) -> Option<Mip<'_>> {
         let record = self.container.mips(texture).get(mip)?;
         let texels = self.container.mip(texture, mip)?;
         Some(Mip { width: record.width, height: record.height, texels })
     }
 
     /// The largest mip at hand, with its number.
-    pub fn finest_mip(&self, texture: usize) -> Option<(usize, Mip<'a>)> {
+    pub fn finest_mip(&self, texture: usize) -> Option<(usize, Mip<'_>)> {
         (0..self.container.mips(texture).len()).find_map(|k| Some((k, self.mip(texture, k)?)))
     }
 }

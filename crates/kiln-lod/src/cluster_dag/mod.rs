@@ -159,7 +159,7 @@ pub struct ClusterDag {
 }
 
 /// What came out.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct DagReport {
     /// Levels.
     pub levels: u32,

@@ -66,7 +66,7 @@ pub(super) fn packed(set: &MaterialSet, pictures: &[Picture], options: &PackOpti
     let mut levels = levels();
     levels.layout = Some(UvLayout { size: 256, padding: 4, chart_count: 2, sheets: 2 });
     let images = |image: ImageId| Ok(pictures[image.index()].clone());
-    pack(&levels, set, &images, &Provenance::default(), options).expect("packs")
+    pack(&levels, set, &images, &Provenance::default(), options, &Continuous::default()).expect("packs")
 }
 
 #[test]
@@ -165,6 +165,6 @@ fn an_extra_without_an_image_is_refused_with_its_place() {
     let (mut set, pictures) = materials();
     set.extras[1].image = ImageId(17);
     let images = |image: ImageId| Ok(pictures[image.index()].clone());
-    let error = pack(&levels(), &set, &images, &Provenance::default(), &PackOptions::default()).expect_err("invalid");
+    let error = pack(&levels(), &set, &images, &Provenance::default(), &PackOptions::default(), &Continuous::default()).expect_err("invalid");
     assert_eq!(error.to_string(), "extras[1].image: expected an index below 5, found 17");
 }

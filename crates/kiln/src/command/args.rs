@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use kiln_pack::Detail;
 use kiln_pipeline::language::Length;
 
 /// The offline LOD baker: a TOML pipeline merges, simplifies, unwraps, bakes and packs a model, and redoes only what changed.
@@ -152,18 +153,22 @@ pub(crate) struct CheckArgs {
 pub(crate) struct ExportArgs {
     /// A container
     pub(crate) file: PathBuf,
-    /// Which level, 0 = finest
-    #[arg(long, value_name = "N", conflicts_with = "all", default_value_t = 0)]
-    pub(crate) level: usize,
+    /// Which level, 0 = finest; or LAYOUT:TRIANGLES, what an engine draws of sliding-window, tree-leaf, compact-tree or clusters with at
+    /// most so many triangles
+    #[arg(long, value_name = "N|LAYOUT:TRIANGLES", conflicts_with = "all", default_value = "0")]
+    pub(crate) level: Detail,
     /// All levels in one file, joined by MSFT_lod
     #[arg(long)]
     pub(crate) all: bool,
     /// The GLB to write
-    #[arg(short, long, value_name = "OUT.glb", required_unless_present = "textures")]
+    #[arg(short, long, value_name = "OUT.glb", required_unless_present_any = ["textures", "trees"])]
     pub(crate) output: Option<PathBuf>,
     /// Write every texture into this folder, as a file named after it
     #[arg(long, value_name = "DIR")]
     pub(crate) textures: Option<PathBuf>,
+    /// Write tree and leaf buffers (layout tree-leaf) into this folder as OpenEXR: tree, leaf, counts, and the vertices' attributes
+    #[arg(long, value_name = "DIR")]
+    pub(crate) trees: Option<PathBuf>,
     /// Format of the textures' files [default: png, and exr for textures of floats]
     #[arg(long, value_enum, requires = "textures")]
     pub(crate) format: Option<FileFormatArg>,
@@ -191,7 +196,7 @@ pub(crate) enum FileFormatArg {
 /// `kiln compare`.
 #[derive(Args, Debug)]
 pub(crate) struct CompareArgs {
-    /// A model, or FILE.kiln#LEVEL for a level of a container [level 0 without a number]
+    /// A model, or FILE.kiln#LEVEL for a level of a container [level 0 without one], or FILE.kiln#LAYOUT:TRIANGLES
     #[arg(value_name = "REFERENCE")]
     pub(crate) reference: PathBuf,
     /// What is held against it, named the same way

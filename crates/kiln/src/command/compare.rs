@@ -7,7 +7,7 @@ use kiln_asset::import::{ImageLimits, decode_image};
 use kiln_asset::{Asset, MapRole, MaterialSet, Mesh, Raster};
 use kiln_measure::compare::{CompareOptions, Comparison, ModeError, Size, compare, contact_sheet};
 use kiln_measure::{Scene, encode_png};
-use kiln_pack::PackError;
+use kiln_pack::{Detail, PackError};
 use serde::Serialize;
 
 use super::args::CompareArgs;
@@ -96,7 +96,7 @@ fn measured(args: &CompareArgs) -> Result<Exit, Exit> {
 /// Where an asset lies.
 enum Source {
     Model(PathBuf),
-    Level { container: PathBuf, level: usize },
+    Level { container: PathBuf, level: Detail },
 }
 
 /// An asset with the pictures that measures look at.
@@ -110,15 +110,12 @@ impl Source {
     fn named(name: &Path) -> Result<Source, Exit> {
         let is_container = |path: &Path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("kiln"));
         if is_container(name) {
-            return Ok(Source::Level { container: name.to_path_buf(), level: 0 });
+            return Ok(Source::Level { container: name.to_path_buf(), level: Detail::Level(0) });
         }
         match name.to_str().and_then(|text| text.rsplit_once('#')) {
             Some((container, level)) if is_container(Path::new(container)) => match level.parse() {
                 Ok(level) => Ok(Source::Level { container: container.into(), level }),
-                Err(_) => {
-                    let message = format!("{container}#{level}: the level after # must be a number, 0 = finest");
-                    Err(complain(Exit::Usage, &printable(&message)))
-                }
+                Err(error) => Err(complain(Exit::Usage, &printable(&format!("{container}#{level}: {error}")))),
             },
             _ => Ok(Source::Model(name.to_path_buf())),
         }
@@ -134,12 +131,9 @@ impl Source {
             }
             Source::Level { container, level } => {
                 let fail = |error: PackError| complain(Exit::Failed, &format!("{}: {error}", container.display()));
-                let (mut levels, materials, images) = kiln_pack::unpack(&read(container)?).map_err(fail)?;
-                let count = levels.levels.len();
-                if *level >= count {
-                    return Err(fail(PackError::NoSuchLevel { asked: *level, count }));
-                }
-                Ok(Loaded { mesh: levels.levels.swap_remove(*level).mesh, materials, images })
+                let unpacked = kiln_pack::unpack_detail(&read(container)?, *level).map_err(fail)?;
+                let (mut levels, materials, images) = unpacked;
+                Ok(Loaded { mesh: levels.levels.swap_remove(0).mesh, materials, images })
             }
         }
     }

@@ -3,7 +3,10 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use kiln_pack::{ExportLevels, InspectReport, export_container_glb, inspect as inspect_bytes};
+use kiln_format::{AlignedBytes, Container};
+use kiln_pack::{
+    ExportLevels, InspectReport, PackError, export_container_glb, export_glb, inspect as inspect_bytes, unpack_detail,
+};
 use serde_json::json;
 
 use super::args::{CheckArgs, ExportArgs, InspectArgs};
@@ -50,6 +53,27 @@ fn text(file: &Path, report: &InspectReport) -> String {
             level.bytes_per_triangle.unwrap_or(f64::NAN),
             level.arrays.join(", "),
         );
+    }
+    for layout in &report.layouts {
+        let share = layout.bytes as f64 / f64::from(layout.triangles.max(1));
+        let what = match layout.name {
+            "sliding-window" => "collapses",
+            "clusters" => "clusters",
+            _ => "nodes",
+        };
+        let range = match (layout.checkpoints.first(), layout.checkpoints.last()) {
+            (Some(first), Some(last)) => format!(
+                ", {} checkpoints from {} triangles at {:.3e} m to {} at {:.3e} m",
+                layout.checkpoints.len(),
+                first.triangles,
+                first.error,
+                last.triangles,
+                last.error
+            ),
+            _ => String::new(),
+        };
+        let (details, size) = (layout.details, summary::bytes(layout.bytes));
+        let _ = writeln!(out, "  {}: {details} {what}, {size} ({share:.1} bytes a triangle){range}", layout.name);
     }
     for (number, submesh) in report.submeshes.iter().enumerate() {
         let of_levels: Vec<String> = report.levels.iter().map(|l| l.submesh_triangles[number].to_string()).collect();
@@ -135,13 +159,42 @@ pub(super) fn export(args: &ExportArgs) -> Exit {
         Err(exit) => return exit,
     };
     let textures = args.textures.as_ref().map(|folder| super::textures::export(args, folder, &bytes));
+    let trees = args.trees.as_ref().map(|folder| export_trees(args, folder, &bytes));
     let levels = args.output.as_ref().map(|output| export_levels(args, output, &bytes));
-    [textures, levels].into_iter().flatten().max().unwrap_or(Exit::Done)
+    [textures, trees, levels].into_iter().flatten().max().unwrap_or(Exit::Done)
+}
+
+/// Writes tree and leaf buffers as OpenEXR.
+fn export_trees(args: &ExportArgs, folder: &Path, bytes: &[u8]) -> Exit {
+    let fail = |error: PackError| complain(Exit::Failed, &format!("{}: {error}", args.file.display()));
+    let aligned = AlignedBytes::copy_of(bytes);
+    let opened = Container::open(&aligned).map_err(PackError::from);
+    let files = match opened.and_then(|container| kiln_pack::trees::write(&container)) {
+        Ok(files) => files,
+        Err(error) => return fail(error),
+    };
+    if let Err(error) = std::fs::create_dir_all(folder) {
+        return complain(Exit::Failed, &format!("cannot make {}: {error}", folder.display()));
+    }
+    for (name, bytes) in files {
+        let path = folder.join(name);
+        if let Err(exit) = write(&path, &bytes) {
+            return exit;
+        }
+        eprintln!("{}: {}", path.display(), summary::bytes(bytes.len() as u64));
+    }
+    Exit::Done
 }
 
 fn export_levels(args: &ExportArgs, output: &Path, bytes: &[u8]) -> Exit {
-    let which = if args.all { ExportLevels::All } else { ExportLevels::One(args.level) };
-    let (glb, report) = match export_container_glb(bytes, which) {
+    let exported = match args.all {
+        true => export_container_glb(bytes, ExportLevels::All),
+        false => unpack_detail(bytes, args.level).and_then(|(levels, materials, rasters)| {
+            let pictures: Vec<_> = rasters.iter().collect();
+            export_glb(&levels, &materials, &pictures, ExportLevels::One(0))
+        }),
+    };
+    let (glb, report) = match exported {
         Ok(result) => result,
         Err(error) => return complain(Exit::Failed, &format!("{}: {error}", args.file.display())),
     };

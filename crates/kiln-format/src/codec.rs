@@ -222,9 +222,8 @@ fn decode_indices<T: bytemuck::Pod + Default>(stored: &[u8], length: usize) -> O
 }
 
 /// One cell a section for its decoded bytes, filled on first use.
-#[derive(Default)]
+#[cfg(feature = "codecs")]
 pub(crate) struct Decoded {
-    #[cfg(feature = "codecs")]
     cells: Vec<std::sync::OnceLock<Option<AlignedBytes>>>,
 }
 

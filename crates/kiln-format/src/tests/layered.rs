@@ -390,12 +390,16 @@ fn window_rules() {
     });
     assert_eq!(order, [Code::Vanishing]);
     // A triangle of two wedges of one point is dead from the start, and has no area for the trees either.
-    let dead = codes_of(layered().bytes(Packing::Raw), |bytes| {
-        let fine = fine_indices(bytes);
-        bytes[fine + 16] = 3;
-        bytes[fine + 14] = 4;
-    });
-    assert!(dead.contains(&Code::Vanishing) && dead.contains(&Code::FaceCounts), "{dead:?}");
+    let model = layered();
+    let all = model.layouts();
+    for (layouts, code) in [
+        (Layouts { window: all.window, ..Layouts::default() }, Code::Vanishing),
+        (Layouts { compact_tree: all.compact_tree, ..Layouts::default() }, Code::FaceCounts),
+    ] {
+        let mut content = Content { layouts, ..model.content(Packing::Raw) };
+        content.levels[0].indices = &[0, 1, 2, 2, 1, 3, 4, 1, 3];
+        assert_eq!(write(&content).map(|_| ()).map_err(|e| e.code), Err(code));
+    }
 }
 
 /// Where level 0's indices lie: the last INDX.

@@ -28,7 +28,7 @@
 mod choose;
 mod pick;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use kiln_format::{DrawRange, Indices, LevelView, WindowView};
 

@@ -98,6 +98,18 @@ pub(crate) fn sheet(columns: u32, rows: u32, chart: u32, seed: u32) -> Mesh {
     merge(&Mesh::new(raw).unwrap(), &MergeOptions::default()).0
 }
 
+/// The same in one submesh and one chart: every vertex is a point.
+pub(crate) fn one_submesh(columns: u32, rows: u32, seed: u32) -> Mesh {
+    let mesh = sheet(columns, rows, columns, seed);
+    let place = |v: &u32| mesh.points[*v as usize].0;
+    let mut raw = RawMesh { submeshes: vec![mesh.submeshes[0].clone()], ..RawMesh::default() };
+    raw.positions = vec![mesh.positions[0]; mesh.point_count()];
+    mesh.points.iter().zip(&mesh.positions).for_each(|(point, place)| raw.positions[point.index()] = *place);
+    raw.triangles = mesh.triangles.iter().map(|t| [place(&t[0]), place(&t[1]), place(&t[2])]).collect();
+    raw.face_submesh = vec![SubmeshId(0); raw.triangles.len()];
+    Mesh::new(raw).unwrap()
+}
+
 pub(crate) fn made(mesh: &Mesh) -> (CollapseSequence, SlidingWindow, Mesh, Held) {
     let sequence =
         collapse(mesh, &[], None, &SimplifyOptions { turn_cosine: -0.5, attributes: false, ..Default::default() });

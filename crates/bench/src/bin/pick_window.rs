@@ -3,10 +3,12 @@
 //! `cargo run --release -p kiln-bench --bin pick_window -- MODEL... [--lods N] [--runs N] [--threads N] [--storage] [--out FILE]`
 //!
 //! For each model its collapse sequence to exhaustion (half-edge, as a stage does it), the window over all of it, and N (20) LODs
-//! whose vertices fall geometrically from all to those that never go. Milliseconds are medians of the runs (9); all threads (2) work on
-//! each, in as many pieces as threads; all outputs are made before. Columns:
+//! whose vertices fall geometrically from all to those that never go. Milliseconds are the least of the runs (9): on a shared
+//! machine the others measure its other users, the longer the more. All threads (2) work on each, in as many pieces as threads; all
+//! outputs are made before. Columns:
 //! - copy: positions (12 bytes a vertex) copied as they are: what any fill of that buffer costs;
-//! - pick: the same buffer by `Window::pick_elements`; 32 bytes: elements of position, normal and UV;
+//! - pick: the same buffer by `Window::resolve` and `Window::pick_elements`; table: the first of them alone; 32 bytes: elements of
+//!   position, normal and UV;
 //! - chains: each vertex walks its parents, then copies;
 //! - update: `Window::update` of picks from the LOD before, one thread; indices: an index buffer of the LOD by `Window::pick_indices`.
 //!
@@ -17,7 +19,7 @@ use std::process::ExitCode;
 
 use kiln_asset::Mesh;
 use kiln_bench::rows::{Page, stamp};
-use kiln_bench::{median, middle, model, name, positions_only, timed};
+use kiln_bench::{middle, model, name, positions_only, timed};
 use kiln_format::layout::WindowHeader;
 use kiln_format::{DrawRange, Indices, WindowView};
 use kiln_lod::merge::{MergeOptions, merge};
@@ -138,10 +140,26 @@ fn by_chains<T: Copy>(parents: &[u32], alive: u32, first: u32, source: &[T], out
     }
 }
 
+/// The table of picks, round by round.
+fn resolve(window: &Window<'_>, lod: WindowLod, picks: &mut [u32]) {
+    for range in window.rounds(lod) {
+        let (done, rest) = picks.split_at_mut(range.start as usize);
+        let block = &mut rest[..range.len()];
+        fill(block, |first, out| window.resolve(lod, done, range.start + first, out));
+    }
+}
+
+/// Least seconds of `runs` runs after one to warm up.
+fn best(runs: usize, mut work: impl FnMut()) -> f64 {
+    work();
+    (0..runs).map(|_| timed(&mut work).1).fold(f64::INFINITY, f64::min)
+}
+
 /// Milliseconds of one LOD.
 struct Times {
     copy: f64,
     pick: f64,
+    table: f64,
     chains: f64,
     copy_32: f64,
     pick_32: f64,
@@ -195,6 +213,7 @@ fn speed(path: &Path, mesh: &Mesh, ask: &Ask, page: &mut Page) -> Result<(), Str
         ":pick / copy",
         ":chains ms",
         ":chains / pick",
+        ":table ms",
         ":copy 32 ms",
         ":pick 32 ms",
         ":pick / copy",
@@ -220,6 +239,7 @@ fn speed(path: &Path, mesh: &Mesh, ask: &Ask, page: &mut Page) -> Result<(), Str
     let medians = Times {
         copy: of(&|t| t.copy),
         pick: of(&|t| t.pick),
+        table: of(&|t| t.table),
         chains: of(&|t| t.chains),
         copy_32: of(&|t| t.copy_32),
         pick_32: of(&|t| t.pick_32),
@@ -230,7 +250,7 @@ fn speed(path: &Path, mesh: &Mesh, ask: &Ask, page: &mut Page) -> Result<(), Str
     Ok(())
 }
 
-fn cells(t: &Times) -> [String; 10] {
+fn cells(t: &Times) -> [String; 11] {
     let ms = |v: f64| format!("{v:.2}");
     [
         ms(t.copy),
@@ -238,6 +258,7 @@ fn cells(t: &Times) -> [String; 10] {
         ms(t.pick / t.copy),
         ms(t.chains),
         ms(t.chains / t.pick),
+        ms(t.table),
         ms(t.copy_32),
         ms(t.pick_32),
         ms(t.pick_32 / t.copy_32),
@@ -252,31 +273,38 @@ fn times(window: &Window<'_>, level0: &Mesh, [before, lod]: [WindowLod; 2], runs
     let wide: Vec<[f32; 8]> = positions.iter().map(|p| [p[0], p[1], p[2], 0.0, 1.0, 0.0, p[0], p[1]]).collect();
     let (mut out, mut out_wide) = (positions.clone(), wide.clone());
     let ms = |seconds: f64| 1e3 * seconds;
-    let ((), copy) = median(runs, || {
+    let copy = best(runs, || {
         fill(&mut out, |first, out| out.copy_from_slice(&positions[first as usize..first as usize + out.len()]));
     });
-    let ((), chains) = median(runs, || {
+    let chains = best(runs, || {
         fill(&mut out, |first, out| by_chains(parents, lod.vertices(), first, &positions, out));
     });
     let expected = out.clone();
-    let ((), pick) = median(runs, || fill(&mut out, |first, out| window.pick_elements(lod, first, &positions, out)));
+    let mut picks = vec![0; parents.len()];
+    let pick = best(runs, || {
+        resolve(window, lod, &mut picks);
+        fill(&mut out, |first, out| window.pick_elements(lod, &picks, first, &positions, out));
+    });
+    let table = best(runs, || resolve(window, lod, &mut picks));
     assert!(out == expected, "picks differ from chains");
-    let ((), copy_32) = median(runs, || {
+    let copy_32 = best(runs, || {
         fill(&mut out_wide, |first, out| out.copy_from_slice(&wide[first as usize..first as usize + out.len()]));
     });
-    let ((), pick_32) = median(runs, || fill(&mut out_wide, |first, out| window.pick_elements(lod, first, &wide, out)));
+    let pick_32 = best(runs, || {
+        resolve(window, lod, &mut picks);
+        fill(&mut out_wide, |first, out| window.pick_elements(lod, &picks, first, &wide, out));
+    });
 
-    let mut picks = vec![0; parents.len()];
     let mut updates = Vec::new();
     for _ in 0..runs.div_ceil(3) {
-        window.picks(before, 0, &mut picks);
+        window.picks(before, &mut picks);
         let mut changes = 0_u32;
         updates.push(timed(|| window.update(before, lod, &mut picks, |_, _| changes += 1)).1);
         assert!(changes > 0 || before == lod);
     }
     let counts: Vec<u32> = (0..window.ranges().len()).map(|submesh| window.triangles(lod, submesh)).collect();
     let mut indices = vec![0; 3 * counts.iter().copied().max().unwrap_or(0) as usize];
-    let ((), index) = median(runs.div_ceil(3), || {
+    let index = best(runs.div_ceil(3), || {
         for (submesh, count) in counts.iter().enumerate() {
             let length = count.div_ceil(rayon::current_num_threads() as u32).max(1);
             let out = indices[..3 * *count as usize].par_chunks_mut(3 * length as usize);
@@ -286,10 +314,11 @@ fn times(window: &Window<'_>, level0: &Mesh, [before, lod]: [WindowLod; 2], runs
     Times {
         copy: ms(copy),
         pick: ms(pick),
+        table: ms(table),
         chains: ms(chains),
         copy_32: ms(copy_32),
         pick_32: ms(pick_32),
-        update: ms(middle(updates)),
+        update: ms(updates.into_iter().fold(f64::INFINITY, f64::min)),
         indices: ms(index),
     }
 }

@@ -1,7 +1,7 @@
 use kiln_shaders::WINDOW_DRAW;
 
 use super::*;
-use crate::window::tests::{made, sheet};
+use crate::window::tests::{made, one_submesh, picked, sheet};
 
 /// A device, software allowed; `None` (said on standard error) where there is none, unless skipping is forbidden.
 fn gpu() -> Option<Gpu> {
@@ -42,15 +42,14 @@ fn the_device_picks_what_the_cpu_picks() {
     let Some(gpu) = gpu() else { return };
     let passes = WindowPasses::new(&gpu).unwrap();
     // With and without points of several vertices.
-    for (mesh, several) in [(sheet(13, 9, 4, 1), true), (crate::window::tests::one_submesh(11, 8, 5), false)] {
+    for (mesh, several) in [(sheet(13, 9, 4, 1), true), (one_submesh(11, 8, 5), false)] {
         let (.., held) = made(&mesh);
         let window = held.window();
         assert_eq!(!window.view().starts.is_empty(), several);
         for detail in (0..=window.collapses()).step_by(7).chain([window.collapses()]) {
             let lod = window.lod(detail);
             let (elements, indices, draws) = passed(&gpu, &passes, &window, lod, &held.positions);
-            let mut picked = held.positions.clone();
-            window.pick_elements(lod, 0, &held.positions, &mut picked);
+            let picked = picked(&window, lod, &held.positions);
             assert_eq!(elements, picked.iter().map(|p| p.map(f32::to_bits)).collect::<Vec<_>>(), "LOD {detail}");
             let mut expected = vec![0; window.indices().len()];
             for (submesh, range) in window.ranges().iter().enumerate() {
@@ -191,18 +190,17 @@ fn the_vertex_shader_draws_the_same_picture_as_picked_vertices() {
         let draw = |alive: [u32; 2], factor: f32, positions: &[[f32; 3]]| {
             picture.draw(&window, alive, factor, positions, buffers.draws())
         };
-        let mut picked = held.positions.clone();
-        window.pick_elements(lod, 0, &held.positions, &mut picked);
+        let fine = picked(&window, lod, &held.positions);
         // The device's pick of the originals, and none of what the CPU picked.
         let drawn = draw([lod.vertices(); 2], 0.0, &held.positions);
-        assert!(drawn == draw([whole; 2], 0.0, &picked), "LOD {detail}");
+        assert!(drawn == draw([whole; 2], 0.0, &fine), "LOD {detail}");
         assert!(drawn.iter().filter(|d| **d != 0).count() > 1000, "LOD {detail} is empty");
         assert!(!seen.contains(&drawn), "LOD {detail} is another");
         // Both ends of a morph; past the seam of the last one, where nothing is left to go.
         let alive = [lod.vertices(), coarse.vertices()];
         assert!(draw(alive, 0.0, &held.positions) == drawn);
-        window.pick_elements(coarse, 0, &held.positions, &mut picked);
-        assert!(draw(alive, 1.0, &held.positions) == draw([whole; 2], 0.0, &picked), "LOD {detail}'s morph");
+        let far = picked(&window, coarse, &held.positions);
+        assert!(draw(alive, 1.0, &held.positions) == draw([whole; 2], 0.0, &far), "LOD {detail}'s morph");
         seen.push(drawn);
     }
 }

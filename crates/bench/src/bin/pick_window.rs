@@ -149,6 +149,18 @@ fn resolve(window: &Window<'_>, lod: WindowLod, picks: &mut [u32]) {
     }
 }
 
+/// The same, and what is picked of `source`.
+fn pick_all<T: Copy + Send + Sync>(
+    window: &Window<'_>,
+    lod: WindowLod,
+    picks: &mut [u32],
+    source: &[T],
+    out: &mut [T],
+) {
+    resolve(window, lod, picks);
+    fill(out, |first, out| window.pick_elements(lod, &picks[first as usize..], first, source, out));
+}
+
 /// Least seconds of `runs` runs after one to warm up.
 fn best(runs: usize, mut work: impl FnMut()) -> f64 {
     work();
@@ -281,20 +293,13 @@ fn times(window: &Window<'_>, level0: &Mesh, [before, lod]: [WindowLod; 2], runs
     });
     let expected = out.clone();
     let mut picks = vec![0; parents.len()];
-    let pick = best(runs, || {
-        resolve(window, lod, &mut picks);
-        fill(&mut out, |first, out| window.pick_elements(lod, &picks, first, &positions, out));
-    });
-    let table = best(runs, || resolve(window, lod, &mut picks));
+    let pick = best(runs, || pick_all(window, lod, &mut picks, &positions, &mut out));
     assert!(out == expected, "picks differ from chains");
+    let table = best(runs, || resolve(window, lod, &mut picks));
     let copy_32 = best(runs, || {
         fill(&mut out_wide, |first, out| out.copy_from_slice(&wide[first as usize..first as usize + out.len()]));
     });
-    let pick_32 = best(runs, || {
-        resolve(window, lod, &mut picks);
-        fill(&mut out_wide, |first, out| window.pick_elements(lod, &picks, first, &wide, out));
-    });
-
+    let pick_32 = best(runs, || pick_all(window, lod, &mut picks, &wide, &mut out_wide));
     let mut updates = Vec::new();
     for _ in 0..runs.div_ceil(3) {
         window.picks(before, &mut picks);

@@ -5,11 +5,12 @@
 //! ```text
 //! for each range of rounds(lod):          done | block <- picks, split there
 //!     pieces of block, in parallel:       resolve(lod, done, first, piece)
-//! pieces of the output, in parallel:      pick_elements(lod, picks, first, source, piece)
+//! pieces of the output, in parallel:      pick_elements(lod, their picks, first, source, piece)
 //! ```
 //! Why a table and not a fill along chains: random reads are all it costs. The table is the smallest thing to read at random, each
 //! vertex reads it once, and the coarser the LOD, the smaller the part of the source that is read. A chain reads parents at
-//! random as often as it is long, and each step waits for the one before.
+//! random as often as it is long, and each step waits for the one before. To fill pieces of the output between rounds was slower:
+//! what is written drives the table out of the cache.
 
 use std::ops::Range;
 
@@ -39,14 +40,14 @@ impl Window<'_> {
         self.resolve(lod, &[], 0, out);
     }
 
-    /// The same by threads: ranges to be resolved one after the other, each in as many pieces as there are threads. Ranges grow by
-    /// half, so that few parents lie in the range itself but outside of a piece, and few rounds wait for their last thread.
+    /// The same by threads: ranges to be resolved one after the other, each in as many pieces as there are threads. Ranges grow by a
+    /// quarter: few parents lie in the range itself but outside of a piece, where a chain is walked, and the rounds are few.
     pub fn rounds(&self, lod: WindowLod) -> impl Iterator<Item = Range<u32>> + use<> {
         // Below that, waiting costs more than resolving.
         const LEAST: u32 = 1 << 14;
         let (count, alive) = (self.vertex_count(), lod.vertices.min(self.vertex_count()));
         let next = move |range: &Range<u32>| {
-            let length = (range.end / 2).max(LEAST).min(count - range.end);
+            let length = (range.end / 4).max(LEAST).min(count - range.end);
             (length > 0).then(|| range.end..range.end + length)
         };
         std::iter::successors((count > 0).then(|| 0..alive.max(LEAST.min(count))), next)
@@ -60,24 +61,22 @@ impl Window<'_> {
         let from = lod.vertices.max(u32::try_from(done.len()).unwrap_or(u32::MAX));
         let parents = self.view.parents.get(first as usize..).unwrap_or(&[]);
         for (k, parent) in parents.iter().enumerate().take(out.len()).skip(kept) {
-            let (v, parent) = (first + k as u32, *parent);
-            out[k] = if parent >= v {
-                v
-            } else if parent >= first {
-                out[(parent - first) as usize]
-            } else {
-                let earlier = if parent < from { parent } else { walk(self.view.parents, parent, from) };
-                done.get(earlier as usize).copied().unwrap_or(earlier)
-            };
+            let v = first + k as u32;
+            let local = *parent >= first;
+            // Where its parent stands resolved: in this piece or before it. A choice of slices costs less than a branch that nobody
+            // can foresee; what is left to branches is rare.
+            let earlier = if !local && *parent >= from { walk(self.view.parents, *parent, from) } else { *parent };
+            let (resolved, at) = if local { (&*out, *parent - first) } else { (done, earlier) };
+            let pick = resolved.get(at as usize).copied().unwrap_or(earlier);
+            out[k] = if *parent < v { pick } else { v };
         }
     }
 
     /// What vertices `first..` pick of a vertex array: positions, normals, UVs.
     ///
-    /// `picks`: those of all vertices; `source`: `[vertex_count]`; `out`: `[n]`, elements behind the last vertex stay.
+    /// `picks`: `[n]`, theirs; `source`: `[vertex_count]`; `out`: `[n]`, elements behind the last vertex stay.
     pub fn pick_elements<T: Copy>(&self, lod: WindowLod, picks: &[u32], first: u32, source: &[T], out: &mut [T]) {
         let own = source.get(first as usize..).unwrap_or(&[]);
-        let picks = picks.get(first as usize..).unwrap_or(&[]);
         let kept = self.kept(lod, first, out.len().min(own.len()));
         out[..kept].copy_from_slice(&own[..kept]);
         for ((out, own), pick) in out.iter_mut().zip(own).zip(picks).skip(kept) {

@@ -154,7 +154,7 @@ proptest! {
 
             let mut positions = vec![[0.0; 3]; picks.len()];
             for (i, out) in positions.chunks_mut(piece).enumerate() {
-                window.pick_elements(lod, &picks, (i * piece) as u32, &held.positions, out);
+                window.pick_elements(lod, &picks[i * piece..], (i * piece) as u32, &held.positions, out);
             }
             // In rounds of any length, each in pieces.
             let mut by_rounds = vec![0; picks.len()];
@@ -311,7 +311,7 @@ fn rounds_follow_each_other_to_the_end() {
             (next, count) = (range.end, count + 1);
         }
         assert_eq!(next, 1_000_000);
-        assert!(count <= 15, "{count} rounds");
+        assert!(count <= 25, "{count} rounds");
     }
 }
 

@@ -71,10 +71,10 @@ fn pick_elements(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_work
     if (vertex >= pass_.vertices) {
         return;
     }
-    let from = pick(vertex) * pass_.words;
-    let to = vertex * pass_.words;
+    let source_word = pick(vertex) * pass_.words;
+    let picked_word = vertex * pass_.words;
     for (var word = 0u; word < pass_.words; word++) {
-        picked_elements[to + word] = source[from + word];
+        picked_elements[picked_word + word] = source[source_word + word];
     }
 }
 

@@ -196,3 +196,6 @@ fn record(
     pass.dispatch_workgroups(groups.div_ceil(rows), rows, 1);
     Ok(())
 }
+
+#[cfg(test)]
+mod tests;

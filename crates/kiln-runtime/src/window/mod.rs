@@ -8,8 +8,7 @@
 //! ```text
 //! v(d)     first vertex of the d-th point from the end: the vertices before it are alive       (bits counted from the end)
 //! pick     of vertex i: while i >= v(d): i = parents[i]
-//! all      parents come first, so one pass resolves all: pick[i] = i < v(d) ? i : pick[parents[i]]; the same with what is picked
-//!          instead of its number: out[i] = i < v(d) ? source[i] : out[parents[i]]
+//! all      parents come first, so one pass resolves all: pick[i] = i < v(d) ? i : pick[parents[i]]; then out[i] = source[pick[i]]
 //! update   from one LOD to another: the same pass from the lesser v(d) on, and a word for each pick that differs
 //! drawn    of a range: its triangles whose corners pick three points; they stand first, so their number is found by bisection
 //! choose   by triangles: bisection over d; by error: checkpoints, and between two of them in proportion
@@ -28,7 +27,7 @@
 mod choose;
 mod pick;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use kiln_format::{DrawRange, Indices, LevelView, WindowView};
 

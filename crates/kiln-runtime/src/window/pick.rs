@@ -1,7 +1,18 @@
 //! Picking: which vertex stands for which. Twin of `shaders/window_pick.wgsl` and of `shaders/window_draw.wgsl`.
 //!
 //! Output comes in pieces: `first` is the vertex (or triangle) of the piece's first element, its length says how many there are.
-//! `out.chunks_mut(n)` on as many threads as there are gives the same as one piece.
+//! Pieces on any number of threads give the same as one piece. With threads, a LOD is
+//! ```text
+//! for each range of rounds(lod):          done | block <- picks, split there
+//!     pieces of block, in parallel:       resolve(lod, done, first, piece)
+//! pieces of the output, in parallel:      pick_elements(lod, their picks, first, source, piece)
+//! ```
+//! Why a table and not a fill along chains: random reads are all it costs. The table is the smallest thing to read at random, each
+//! vertex reads it once, and the coarser the LOD, the smaller the part of the source that is read. A chain reads parents at
+//! random as often as it is long, and each step waits for the one before. To fill pieces of the output between rounds was slower:
+//! what is written drives the table out of the cache.
+
+use std::ops::Range;
 
 use super::{Window, WindowLod};
 
@@ -24,47 +35,58 @@ impl Window<'_> {
         walk(self.view.parents, i, lod.vertices)
     }
 
-    /// The picks of vertices `first..`, as many as `out` is long (`[n]`, vertices; those behind the last vertex stay).
-    pub fn picks(&self, lod: WindowLod, first: u32, out: &mut [u32]) {
-        let kept = self.kept(lod, first, out.len());
-        out.iter_mut().take(kept).zip(first..).for_each(|(pick, v)| *pick = v);
-        self.resolve(lod, first, kept, out, |v| v);
+    /// The picks of all vertices (`[vertex_count]`, vertices; those behind the last vertex stay) in one pass on one thread.
+    pub fn picks(&self, lod: WindowLod, out: &mut [u32]) {
+        self.resolve(lod, &[], 0, out);
     }
 
-    /// What vertices `first..` pick of a vertex array: positions, normals, UVs. Faster than a gather by [`Window::picks`]
-    /// for up to a few arrays.
+    /// The same by threads: ranges to be resolved one after the other, each in as many pieces as there are threads. Ranges grow by a
+    /// quarter: few parents lie in the range itself but outside of a piece, where a chain is walked, and the rounds are few.
+    pub fn rounds(&self, lod: WindowLod) -> impl Iterator<Item = Range<u32>> + use<> {
+        // Below that, waiting costs more than resolving.
+        const LEAST: u32 = 1 << 14;
+        let (count, alive) = (self.vertex_count(), lod.vertices.min(self.vertex_count()));
+        let next = move |range: &Range<u32>| {
+            let length = (range.end / 4).max(LEAST).min(count - range.end);
+            (length > 0).then(|| range.end..range.end + length)
+        };
+        std::iter::successors((count > 0).then(|| 0..alive.max(LEAST.min(count))), next)
+    }
+
+    /// The picks of vertices `first..`, as many as `out` is long. `done`: those of all vertices before a place at or before `first`;
+    /// the nearer that is to `first`, the faster.
+    pub fn resolve(&self, lod: WindowLod, done: &[u32], first: u32, out: &mut [u32]) {
+        let kept = self.kept(lod, first, out.len());
+        out.iter_mut().take(kept).zip(first..).for_each(|(pick, v)| *pick = v);
+        let from = lod.vertices.max(u32::try_from(done.len()).unwrap_or(u32::MAX));
+        let parents = self.view.parents.get(first as usize..).unwrap_or(&[]);
+        for (k, parent) in parents.iter().enumerate().take(out.len()).skip(kept) {
+            let v = first + k as u32;
+            let local = *parent >= first;
+            // Where its parent stands resolved: in this piece or before it. A choice of slices costs less than a branch that nobody
+            // can foresee; what is left to branches is rare.
+            let earlier = if !local && *parent >= from { walk(self.view.parents, *parent, from) } else { *parent };
+            let (resolved, at) = if local { (&*out, *parent - first) } else { (done, earlier) };
+            let pick = resolved.get(at as usize).copied().unwrap_or(earlier);
+            out[k] = if *parent < v { pick } else { v };
+        }
+    }
+
+    /// What vertices `first..` pick of a vertex array: positions, normals, UVs.
     ///
-    /// `source`: `[vertex_count]`; `out`: `[n]`, elements behind the last vertex stay.
-    pub fn pick_elements<T: Copy>(&self, lod: WindowLod, first: u32, source: &[T], out: &mut [T]) {
-        let from = source.get(first as usize..).unwrap_or(&[]);
-        let count = out.len().min(from.len());
-        let out = &mut out[..count];
-        let kept = self.kept(lod, first, count);
-        out[..kept].copy_from_slice(&from[..kept]);
-        self.resolve(lod, first, kept, out, |v| source[v as usize]);
+    /// `picks`: `[n]`, theirs; `source`: `[vertex_count]`; `out`: `[n]`, elements behind the last vertex stay.
+    pub fn pick_elements<T: Copy>(&self, lod: WindowLod, picks: &[u32], first: u32, source: &[T], out: &mut [T]) {
+        let own = source.get(first as usize..).unwrap_or(&[]);
+        let kept = self.kept(lod, first, out.len().min(own.len()));
+        out[..kept].copy_from_slice(&own[..kept]);
+        for ((out, own), pick) in out.iter_mut().zip(own).zip(picks).skip(kept) {
+            *out = *source.get(*pick as usize).unwrap_or(own);
+        }
     }
 
     /// How many of `count` vertices from `first` on pick themselves because they are alive.
     fn kept(&self, lod: WindowLod, first: u32, count: usize) -> usize {
         (lod.vertices.min(self.vertex_count()).saturating_sub(first) as usize).min(count)
-    }
-
-    /// The elements of `out` from `kept` on, by the vertices that they pick; `of` gives those of living vertices and is asked for
-    /// vertices below `first + out.len()` only.
-    #[inline(always)]
-    fn resolve<T: Copy>(&self, lod: WindowLod, first: u32, kept: usize, out: &mut [T], of: impl Fn(u32) -> T) {
-        let parents = self.view.parents.get(first as usize..).unwrap_or(&[]);
-        for (k, parent) in parents.iter().enumerate().take(out.len()).skip(kept) {
-            let (v, parent) = (first + k as u32, *parent);
-            out[k] = if parent >= v {
-                of(v)
-            } else if parent >= first {
-                // It stands in this piece, resolved.
-                out[(parent - first) as usize]
-            } else {
-                of(walk(self.view.parents, parent, lod.vertices))
-            };
-        }
     }
 
     /// Brings `picks`, those of all vertices at `from`, to `to`, and tells `changed` each vertex whose pick is another, with the new

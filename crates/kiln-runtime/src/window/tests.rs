@@ -98,6 +98,18 @@ pub(crate) fn sheet(columns: u32, rows: u32, chart: u32, seed: u32) -> Mesh {
     merge(&Mesh::new(raw).unwrap(), &MergeOptions::default()).0
 }
 
+/// The same in one submesh and one chart: every vertex is a point.
+pub(crate) fn one_submesh(columns: u32, rows: u32, seed: u32) -> Mesh {
+    let mesh = sheet(columns, rows, columns, seed);
+    let place = |v: &u32| mesh.points[*v as usize].0;
+    let mut raw = RawMesh { submeshes: vec![mesh.submeshes[0].clone()], ..RawMesh::default() };
+    raw.positions = vec![mesh.positions[0]; mesh.point_count()];
+    mesh.points.iter().zip(&mesh.positions).for_each(|(point, place)| raw.positions[point.index()] = *place);
+    raw.triangles = mesh.triangles.iter().map(|t| [place(&t[0]), place(&t[1]), place(&t[2])]).collect();
+    raw.face_submesh = vec![SubmeshId(0); raw.triangles.len()];
+    Mesh::new(raw).unwrap()
+}
+
 pub(crate) fn made(mesh: &Mesh) -> (CollapseSequence, SlidingWindow, Mesh, Held) {
     let sequence =
         collapse(mesh, &[], None, &SimplifyOptions { turn_cosine: -0.5, attributes: false, ..Default::default() });
@@ -114,8 +126,15 @@ fn sheets() -> impl Strategy<Value = Mesh> {
 
 fn all_picks(window: &Window<'_>, lod: WindowLod) -> Vec<u32> {
     let mut picks = vec![0; window.vertex_count() as usize];
-    window.picks(lod, 0, &mut picks);
+    window.picks(lod, &mut picks);
     picks
+}
+
+/// What all vertices pick of their positions.
+pub(crate) fn picked(window: &Window<'_>, lod: WindowLod, source: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let mut out = source.to_vec();
+    window.pick_elements(lod, &all_picks(window, lod), 0, source, &mut out);
+    out
 }
 
 proptest! {
@@ -134,13 +153,18 @@ proptest! {
             prop_assert_eq!(&picks, &(0..window.vertex_count()).map(chain).collect::<Vec<u32>>());
 
             let mut positions = vec![[0.0; 3]; picks.len()];
-            let mut in_pieces = vec![0; picks.len()];
-            for (i, first) in (0..picks.len()).step_by(piece).enumerate() {
-                let end = (first + piece).min(picks.len());
-                window.pick_elements(lod, (i * piece) as u32, &held.positions, &mut positions[first..end]);
-                window.picks(lod, first as u32, &mut in_pieces[first..end]);
+            for (i, out) in positions.chunks_mut(piece).enumerate() {
+                window.pick_elements(lod, &picks[i * piece..], (i * piece) as u32, &held.positions, out);
             }
-            prop_assert_eq!(&in_pieces, &picks);
+            // In rounds of any length, each in pieces.
+            let mut by_rounds = vec![0; picks.len()];
+            for start in (0..picks.len()).step_by(3 * piece) {
+                let (done, rest) = by_rounds.split_at_mut(start);
+                for (i, out) in rest[..(3 * piece).min(picks.len() - start)].chunks_mut(piece).enumerate() {
+                    window.resolve(lod, done, (start + i * piece) as u32, out);
+                }
+            }
+            prop_assert_eq!(&by_rounds, &picks);
             let gathered: Vec<[f32; 3]> = picks.iter().map(|v| held.positions[*v as usize]).collect();
             prop_assert_eq!(&positions, &gathered);
 
@@ -219,11 +243,7 @@ proptest! {
             window.morph_positions(lods, factor, front.len() as u32, &held.positions, back);
             out
         };
-        let [fine, coarse] = lods.map(|lod| {
-            let mut out = held.positions.clone();
-            window.pick_elements(lod, 0, &held.positions, &mut out);
-            out
-        });
+        let [fine, coarse] = lods.map(|lod| picked(&window, lod, &held.positions));
         prop_assert_eq!(morphed(0.0), fine.clone());
         prop_assert_eq!(morphed(1.0), coarse.clone());
         for (at, (a, b)) in morphed(0.25).iter().zip(fine.iter().zip(&coarse)) {
@@ -277,6 +297,25 @@ fn figure_3_mended_gives_what_an_update_gives() {
 }
 
 #[test]
+fn rounds_follow_each_other_to_the_end() {
+    let parents: Vec<u32> = (0..1_000_000).map(|v: u32| v / 2).collect();
+    let header =
+        WindowHeader { vertices: 1_000_000, collapses: 999_999, base_vertices: 1, ..section(&[]).view().header };
+    let window =
+        Window::new(WindowView { header, checkpoints: &[], parents: &parents, starts: &[] }, Indices::U32(&[]), &[]);
+    for detail in [0, 10, 500_000, 999_000, 999_999] {
+        let lod = window.lod(detail);
+        let (mut next, mut count) = (0, 0);
+        for range in window.rounds(lod) {
+            assert!(range.start == next && range.end > next);
+            (next, count) = (range.end, count + 1);
+        }
+        assert_eq!(next, 1_000_000);
+        assert!(count <= 25, "{count} rounds");
+    }
+}
+
+#[test]
 fn errors_choose_between_checkpoints() {
     let (.., mut held) = made(&sheet(9, 9, 20, 3));
     let last = held.window().collapses();
@@ -322,9 +361,13 @@ proptest! {
             let walked: Vec<u32> = (0..picks.len() as u32).map(|v| window.pick(lod, v)).collect();
             prop_assert_eq!(&picks, &walked);
             prop_assert!(picks.iter().all(|v| (*v as usize) < parents.len()));
-            window.picks(lod, first, &mut [0; 9]);
-            window.pick_elements(lod, first, &source, &mut [[0.0; 3]; 9]);
-            window.pick_elements(lod, 0, &source[..source.len() / 2], &mut [[0.0; 3]; 50]);
+            window.resolve(lod, &[], first, &mut [0; 9]);
+            window.resolve(lod, &parents, first, &mut [0; 9]);
+            window.resolve(lod, &picks[..picks.len() / 2], picks.len() as u32 / 2, &mut [0; 99]);
+            window.pick_elements(lod, &picks, first, &source, &mut [[0.0; 3]; 9]);
+            window.pick_elements(lod, &indices, 0, &source[..source.len() / 2], &mut [[0.0; 3]; 50]);
+            window.pick_elements(lod, &picks, 0, &source, &mut [[0.0; 3]; 3]);
+            prop_assert_eq!(window.rounds(lod).last().map_or(0, |r| r.end as usize), parents.len());
             window.morph_positions([lod, lods[2]], 0.5, first, &source, &mut [[0.0; 3]; 9]);
             let mut table = vec![u32::MAX; 50];
             window.update(lods[1], lod, &mut table, |_, _| ());

@@ -105,11 +105,10 @@ fn bind(
     layout: &wgpu::BindGroupLayout,
     buffers: &[(u32, &wgpu::Buffer)],
 ) -> Result<wgpu::BindGroup, GpuError> {
-    let entry = |(binding, buffer): &(u32, &wgpu::Buffer)| wgpu::BindGroupEntry {
-        binding: *binding,
-        resource: buffer.as_entire_binding(),
-    };
-    let entries: Vec<wgpu::BindGroupEntry<'_>> = buffers.iter().map(entry).collect();
+    let entries: Vec<wgpu::BindGroupEntry<'_>> = buffers
+        .iter()
+        .map(|(binding, buffer)| wgpu::BindGroupEntry { binding: *binding, resource: buffer.as_entire_binding() })
+        .collect();
     gpu.check(label, || {
         let label = Some(label);
         gpu.device().create_bind_group(&wgpu::BindGroupDescriptor { label, layout, entries: &entries })

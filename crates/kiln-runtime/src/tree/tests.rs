@@ -1,3 +1,5 @@
+use std::ops::Range;
+
 use kiln_asset::{Mesh, RawMesh, Submesh, SubmeshId};
 use kiln_format::layout::{CompactNode, CompactTreeView, TreeHeader, TreeLeafView};
 use kiln_lod::cluster_tree::{ClusterTree, TreeLeafBuffers, TreeOptions};

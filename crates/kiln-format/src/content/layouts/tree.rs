@@ -34,7 +34,7 @@ impl Check<'_, '_> {
         let parents: Vec<u32> = view.nodes.iter().map(|node| node.parent).collect();
         let tree = Tree { parents: &parents, terminals: view.terminals };
         tree.face_counts(view.face_counts, finest, out)?;
-        let picks = tree.picks(finest);
+        let picks = tree.picks();
         counted(view.checkpoints, |k| count_at(&picks, view.face_counts, view.checkpoints[k].detail), out)
     }
 
@@ -56,7 +56,7 @@ impl Check<'_, '_> {
         let terminals = columns.terminals(finest, out)?;
         let tree = Tree { parents: &parents, terminals: &terminals };
         tree.face_counts(view.face_counts, finest, out)?;
-        let picks = tree.picks(finest);
+        let picks = tree.picks();
         counted(view.checkpoints, |k| count_at(&picks, view.face_counts, view.checkpoints[k].detail), out)
     }
 
@@ -135,19 +135,14 @@ impl Tree<'_> {
         Some(())
     }
 
-    /// `[nodes + 1]`: different picks of all vertices at each threshold; leaves at one position of one node count once.
-    fn picks(&self, finest: &Finest<'_>) -> Vec<u64> {
+    /// `[nodes + 1]`: different picks of all vertices at each threshold; a vertex that picks itself is one of its own.
+    fn picks(&self) -> Vec<u64> {
         let count = self.parents.len();
         let mut used = vec![false; count];
         let mut changes = vec![0i64; count + 2];
-        // -0 + 0 is 0: equal numbers have equal bits.
-        let key = |(p, terminal): (&[f32; 3], &u32)| (*terminal, p.map(|x| (x + 0.0).to_bits()));
-        let mut leaves: Vec<(u32, [u32; 3])> = finest.positions.iter().zip(self.terminals).map(key).collect();
-        leaves.sort_unstable();
-        leaves.dedup();
-        for (terminal, _) in leaves {
-            used[terminal as usize] = true;
-            changes[terminal as usize + 1] += 1;
+        for terminal in self.terminals {
+            used[*terminal as usize] = true;
+            changes[*terminal as usize + 1] += 1;
         }
         for n in (1..count).rev() {
             if used[n] {

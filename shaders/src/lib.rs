@@ -50,8 +50,15 @@ pub const PRICE: Shader = Shader {
     twin: "crates/kiln-lod/src/simplify/viewpoint/price.rs",
 };
 
+/// Which clusters of a DAG a view draws.
+pub const SELECT_CLUSTERS: Shader = Shader {
+    name: "select_clusters",
+    source: include_str!("../select_clusters.wgsl"),
+    twin: "crates/kiln-runtime/src/clusters.rs",
+};
+
 /// All passes, by name.
-pub const ALL: &[Shader] = &[APPLY_MAPS, FORMULA, MIRRORED_VERTEX, PRICE];
+pub const ALL: &[Shader] = &[APPLY_MAPS, FORMULA, MIRRORED_VERTEX, PRICE, SELECT_CLUSTERS];
 
 #[cfg(test)]
 mod tests {

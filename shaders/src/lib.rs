@@ -92,12 +92,20 @@ pub const TREE_LEAF_PICK: Shader = Shader {
     twin: "crates/kiln-runtime/src/tree/tree_leaf.rs",
 };
 
+/// Which clusters of a DAG a view draws.
+pub const SELECT_CLUSTERS: Shader = Shader {
+    name: "select_clusters",
+    source: include_str!("../select_clusters.wgsl"),
+    twin: "crates/kiln-runtime/src/clusters.rs",
+};
+
 /// All passes, by name.
 pub const ALL: &[Shader] = &[
     APPLY_MAPS,
     FORMULA,
     MIRRORED_VERTEX,
     PRICE,
+    SELECT_CLUSTERS,
     TREE_COMPACT_PICK,
     TREE_DRAW,
     TREE_DRAW_LIST,

@@ -38,7 +38,7 @@ mod patch;
 mod round;
 
 use bytemuck::{Pod, Zeroable};
-use kiln_asset::{Mesh, MeshError, SubmeshId};
+use kiln_asset::{Mesh, MeshDefect, MeshError, SubmeshId};
 use rayon::prelude::*;
 
 use crate::simplify::{SimplifyOptions, first_forms};
@@ -317,8 +317,12 @@ impl ClusterDag {
     /// The DAG belongs to another mesh.
     ///
     /// # Panics
-    /// If one is no cluster, or the mesh has fewer vertices than the DAG's.
+    /// If one is no cluster.
     pub fn mesh_of(&self, mesh: &Mesh, clusters: &[u32]) -> Result<Mesh, MeshError> {
+        if self.vertices as usize != mesh.vertex_count() {
+            let message = format!("{} of them where the cluster DAG has {}", mesh.vertex_count(), self.vertices);
+            return Err(MeshError(vec![MeshDefect { path: "positions".into(), message }]));
+        }
         let mut order = clusters.to_vec();
         order.sort_by_key(|c| self.clusters[*c as usize].submesh);
         let mut place = vec![NONE; mesh.vertex_count()];

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::check::gaps;
 use crate::fixtures;
-use crate::simplify::surface_error;
+use crate::simplify::{collapse_patch, surface_error};
 
 fn dag(mesh: &Mesh) -> ClusterDag {
     let dag = ClusterDag::new(mesh, &ClusterDagOptions::default()).expect("a dag");
@@ -105,6 +105,45 @@ fn every_cut_of_a_sphere_is_a_closed_manifold_and_they_shrink() {
         (0..).zip(&dag.clusters).filter(|(_, c)| dag.groups[c.group as usize].error == f32::MAX).map(|r| r.0).collect();
     assert_eq!(dag.cut(f32::MAX.next_down()), roots);
     assert_eq!(dag.cut(f32::MAX), roots);
+}
+
+#[test]
+fn small_groups_with_much_border_leave_a_closed_manifold_too() {
+    let mesh = bumpy(60, 40);
+    for group_size in [2, 3, 5] {
+        let dag = ClusterDag::new(&mesh, &ClusterDagOptions { group_size, ..Default::default() }).expect("a dag");
+        for threshold in thresholds(&dag) {
+            assert!(is_closed(&mesh, &dag, &dag.cut(threshold)), "groups of {group_size} at {threshold}");
+        }
+        for view in 0..100_u32 {
+            let turn = |k: u32| ((view * k) as f32 * 0.618_034).fract() * 2.0 - 1.0;
+            let eye = Vec3::new(turn(1), turn(3), turn(7)) * 2.0;
+            assert!(is_closed(&mesh, &dag, &seen(&dag, eye, 10.0_f32.powf(3.0 * turn(11)))));
+        }
+    }
+}
+
+#[test]
+fn no_edge_comes_between_two_points_that_faces_beyond_the_patch_hang_on() {
+    // A flat hexagon about point 0: nothing is cheaper than to take the middle to a corner.
+    let corner = |i: u32| {
+        let turn = std::f32::consts::TAU * i as f32 / 6.0;
+        Vec3::new(turn.cos(), turn.sin(), 0.0)
+    };
+    let raw = RawMesh {
+        positions: std::iter::once(Vec3::ZERO).chain((0..6).map(corner)).collect(),
+        triangles: (0..6).map(|i| [0, 1 + i, 1 + (i + 1) % 6]).collect(),
+        face_submesh: vec![SubmeshId(0); 6],
+        submeshes: vec![Submesh::default()],
+        ..RawMesh::default()
+    };
+    let mesh = Mesh::new(raw).expect("sound");
+    let options = SimplifyOptions::default();
+    let collapses = |fixed: [bool; 7]| collapse_patch(&mesh, &[], &options, &fixed).0.collapses;
+    // The diagonals of the hexagon may be edges of what lies beyond.
+    assert_eq!(collapses([false, true, true, true, true, true, true]), []);
+    let free = collapses([false, true, false, true, false, false, false]);
+    assert!(free[0].from == 0 && ![1, 3].contains(&free[0].to), "{:?}", free[0]);
 }
 
 #[test]
@@ -223,6 +262,7 @@ fn separate_triangles_are_roots_at_once() {
     let dag = dag(&mesh);
     assert_eq!((dag.levels, dag.groups.len(), dag.clusters.len()), (1, 1, 1));
     assert_eq!(dag.groups[0].error, f32::MAX);
+    assert!(dag.level(&fixtures::grid(2, 2), 0.0).is_err());
     let empty = self::dag(&Mesh::default());
     assert_eq!((empty.levels, empty.clusters.len(), empty.cut(0.0).len()), (0, 0, 0));
 }

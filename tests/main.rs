@@ -19,5 +19,6 @@ mod goldens;
 mod init;
 mod parts;
 mod pipelines;
+mod readers;
 mod rebuild;
 mod why;

@@ -5,7 +5,7 @@ use std::fs;
 use crate::space::{Space, repository};
 
 /// A copy of `pipelines/` and `fixtures/`, so that nothing is written into the project.
-fn copied(pipeline: &str) -> Space {
+pub(crate) fn copied(pipeline: &str) -> Space {
     let space = Space::new();
     space.write(&format!("pipelines/{pipeline}"), fs::read(repository("pipelines").join(pipeline)).unwrap());
     for entry in fs::read_dir(repository("fixtures")).unwrap() {

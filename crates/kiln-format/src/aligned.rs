@@ -1,5 +1,6 @@
 //! Bytes on an address that every record and array of a container may be lent from.
 
+use crate::prelude::*;
 use bytemuck::{Pod, Zeroable};
 
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -30,6 +31,7 @@ impl AlignedBytes {
     ///
     /// # Errors
     /// Those of `reader`.
+    #[cfg(feature = "std")]
     pub fn read_from(reader: &mut impl std::io::Read) -> std::io::Result<AlignedBytes> {
         let mut bytes = Vec::new();
         reader.read_to_end(&mut bytes)?;
@@ -42,7 +44,7 @@ impl AlignedBytes {
     }
 }
 
-impl std::ops::Deref for AlignedBytes {
+impl core::ops::Deref for AlignedBytes {
     type Target = [u8];
 
     fn deref(&self) -> &[u8] {

@@ -1,16 +1,23 @@
 //! A checked container whose tables and arrays are lent from the caller's bytes.
 
+use crate::codec;
 use crate::content::{self, Tables};
-use crate::envelope::{self, Envelope};
+use crate::envelope::{self, Envelope, State};
 use crate::error::{CheckReport, FormatError};
 use crate::kind::{Kind, Semantic, VertexFormat};
+use crate::layout::{self, Layouts};
+use crate::prelude::*;
 use crate::provenance::Provenance;
 use crate::record::*;
 
-/// A container, validated: every index in its tables is in range, every number finite, every byte accounted for.
+/// A container whose tables are sound: every index in them is in range, every number finite, every section inside the file.
+/// [`Container::open`] and [`Container::validate`] say the same of the payload. All accessors check bounds, so that payload that
+/// nobody validated may hold wrong values but leads no reader astray.
 pub struct Container<'a> {
-    envelope: Envelope<'a>,
-    tables: Tables<'a>,
+    pub(crate) envelope: Envelope<'a>,
+    pub(crate) tables: Tables<'a>,
+    #[cfg(feature = "codecs")]
+    decoded: codec::Decoded,
 }
 
 /// A section as the table tells it.
@@ -145,21 +152,105 @@ impl<'a> LevelView<'a> {
 
 impl<'a> Container<'a> {
     /// The container in `bytes`, which must be the whole file and lie on a multiple of 16 (see [`crate::AlignedBytes`]).
-    /// Everything is checked, all hashes included; nothing is copied but table of strings and provenance.
+    /// Everything is checked, all hashes included; nothing is copied but table of strings and provenance, and coded sections,
+    /// which are decoded on up to two threads.
     ///
     /// # Errors
     /// The first finding of [`check`].
     pub fn open(bytes: &'a [u8]) -> Result<Container<'a>, FormatError> {
-        read(bytes, true)
+        let container = Container::open_tables(bytes)?;
+        container.validate()?;
+        Ok(container)
     }
 
-    /// The container whose first bytes are `bytes`. Header, section table and tables must be whole; levels and mips whose
-    /// sections do not lie inside, or are damaged, are not offered.
+    /// As [`Container::open`], without a look at the payload: time and memory are those of header and tables, which are
+    /// checked and hashed. [`Container::validate`] does the rest.
+    ///
+    /// # Errors
+    /// The first finding against header, section table or tables.
+    pub fn open_tables(bytes: &'a [u8]) -> Result<Container<'a>, FormatError> {
+        let mut report = CheckReport::default();
+        let container = read(bytes, true, &mut report);
+        first(report, container)
+    }
+
+    /// Whether all payload is what its hashes say, and what the format promises. Coded sections are decoded, on up to two
+    /// threads, and kept.
+    ///
+    /// # Errors
+    /// The first finding of [`check`] against payload.
+    pub fn validate(&self) -> Result<(), FormatError> {
+        let mut report = CheckReport::default();
+        self.decode(threads());
+        content::examine(self, true, &mut report);
+        first(report, Some(()))
+    }
+
+    /// The container whose first bytes are `bytes`. Header, section table and tables must be whole; levels, layouts and mips
+    /// whose sections do not lie inside, or are damaged, are not offered.
     ///
     /// # Errors
     /// A finding against header, section table or tables.
     pub fn open_prefix(bytes: &'a [u8]) -> Result<Container<'a>, FormatError> {
-        read(bytes, false)
+        let mut report = CheckReport::default();
+        let container = read(bytes, false, &mut report);
+        let container = container.filter(|_| report.is_sound()).map(|mut container| {
+            let examined = content::examine(&container, false, &mut report);
+            container.envelope.states = examined.states;
+            container.tables.offered = examined.offered;
+            container
+        });
+        first(report, container)
+    }
+
+    /// Decodes all coded sections at hand that are not decoded yet, on up to `threads` threads. Otherwise each is decoded when
+    /// it is first asked for. The result does not depend on it.
+    pub fn decode(&self, threads: usize) {
+        let coded = |(_, entry): &(usize, &SectionEntry)| entry.codec != codec::NONE;
+        let mut sections: Vec<(u64, usize)> =
+            self.envelope.entries.iter().enumerate().filter(coded).map(|(n, entry)| (entry.raw_length, n)).collect();
+        // The longest first, so that no thread is left with it at the end.
+        sections.sort_unstable_by_key(|(length, number)| (core::cmp::Reverse(*length), *number));
+        let next = core::sync::atomic::AtomicUsize::new(0);
+        let work = || {
+            while let Some((_, number)) = sections.get(next.fetch_add(1, core::sync::atomic::Ordering::Relaxed)) {
+                self.raw(*number);
+            }
+        };
+        #[cfg(feature = "std")]
+        std::thread::scope(|scope| {
+            for _ in 1..threads.min(sections.len()) {
+                scope.spawn(work);
+            }
+            work();
+        });
+        #[cfg(not(feature = "std"))]
+        {
+            let _ = threads;
+            work();
+        }
+    }
+
+    /// The decoded bytes of a section that is at hand; nothing for skipped ones, whose meaning is not known, unless they have
+    /// codec `none`.
+    pub(crate) fn raw(&self, number: usize) -> Option<&[u8]> {
+        let entry = self.envelope.entries.get(number)?;
+        let stored = self.envelope.section(number)?;
+        if entry.codec == codec::NONE {
+            return Some(stored);
+        }
+        #[cfg(feature = "codecs")]
+        if self.envelope.states[number] != State::Skipped {
+            return self.decoded.get(number, || {
+                let user = |level: &&LevelRecord| [level.vertex_section, level.index_section].contains(&(number as u32));
+                // The finest level has all elements of a shared section.
+                let level = self.tables.levels.iter().find(user);
+                let arrays = level.map_or(&[][..], |level| self.tables.level_arrays(level));
+                let width = level.map_or(0, |level| level.index_width);
+                codec::decode(entry.codec, stored, entry.raw_length, arrays, width)
+            });
+        }
+        None
     }
 
     /// Major and minor version of the file.
@@ -188,6 +279,26 @@ impl<'a> Container<'a> {
         self.envelope.section(number as usize)
     }
 
+    /// The bytes that a section holds, decoded if it is coded; nothing for coded sections of a kind that is not known here.
+    pub fn raw_bytes(&self, number: u32) -> Option<&[u8]> {
+        self.raw(number as usize)
+    }
+
+    /// The layouts beside the discrete levels, as far as they are at hand.
+    pub fn layouts(&self) -> Layouts<'_> {
+        let raw = |kind| {
+            let number = self.envelope.find(kind)? as usize;
+            (self.envelope.states[number] != State::Skipped).then_some(())?;
+            self.raw(number)
+        };
+        Layouts {
+            window: raw(Kind::WINDOW).and_then(layout::cut_window).map(|cut| cut.0),
+            tree_leaf: raw(Kind::TREE).zip(raw(Kind::LEAF)).and_then(|(t, l)| layout::cut_tree(t, l)).map(|cut| cut.0),
+            compact_tree: raw(Kind::COMPACT_TREE).and_then(layout::cut_compact_tree).map(|cut| cut.0),
+            clusters: raw(Kind::CLUSTERS).and_then(layout::cut_clusters).map(|cut| cut.0),
+        }
+    }
+
     /// A string of the table, empty for a number out of range.
     pub fn string(&self, number: u32) -> &'a str {
         self.tables.strings.get(number as usize).copied().unwrap_or("")
@@ -203,8 +314,13 @@ impl<'a> Container<'a> {
         self.tables.levels
     }
 
-    /// A level, if its geometry and mip tails are at hand.
-    pub fn level(&self, lod: usize) -> Option<LevelView<'a>> {
+    /// Whether the geometry and mip tails of a level are at hand; nothing is decoded to tell.
+    pub fn is_at_hand(&self, lod: usize) -> bool {
+        self.tables.offered.get(lod) == Some(&true)
+    }
+
+    /// A level, if its geometry and mip tails are at hand. Coded geometry is decoded on first use.
+    pub fn level(&self, lod: usize) -> Option<LevelView<'_>> {
         if !*self.tables.offered.get(lod)? {
             return None;
         }
@@ -213,8 +329,8 @@ impl<'a> Container<'a> {
             record,
             ranges: self.tables.level_ranges(lod),
             arrays: self.tables.level_arrays(record),
-            vertices: self.envelope.section(record.vertex_section as usize)?,
-            indices: self.envelope.section(record.index_section as usize)?,
+            vertices: self.raw(record.vertex_section as usize)?,
+            indices: self.raw(record.index_section as usize)?,
         })
     }
 
@@ -249,11 +365,11 @@ impl<'a> Container<'a> {
     }
 
     /// The texels of a mip, rows without gap, if its section is at hand.
-    pub fn mip(&self, texture: usize, mip: usize) -> Option<&'a [u8]> {
+    pub fn mip(&self, texture: usize, mip: usize) -> Option<&[u8]> {
         let record = self.mips(texture).get(mip)?;
         let start = usize::try_from(record.offset).ok()?;
         let end = start.checked_add(usize::try_from(record.length).ok()?)?;
-        self.envelope.section(record.section as usize)?.get(start..end)
+        self.raw(record.section as usize)?.get(start..end)
     }
 
     /// What made the file, if it says so.
@@ -262,18 +378,33 @@ impl<'a> Container<'a> {
     }
 }
 
-fn read(bytes: &[u8], whole: bool) -> Result<Container<'_>, FormatError> {
-    let mut report = CheckReport::default();
-    let mut container = None;
-    if let Some(mut envelope) = envelope::read(bytes, whole, &mut report)
-        && report.is_sound()
-    {
-        let tables = content::read(&mut envelope, whole, &mut report);
-        container = tables.map(|tables| Container { envelope, tables });
-    }
+/// Threads to decode on: two if the machine has them. More would take what its owner runs beside.
+fn threads() -> usize {
+    #[cfg(feature = "std")]
+    return std::thread::available_parallelism().map_or(1, |threads| threads.get().min(2));
+    #[cfg(not(feature = "std"))]
+    1
+}
+
+/// Header, section table and tables.
+fn read<'a>(bytes: &'a [u8], whole: bool, report: &mut CheckReport) -> Option<Container<'a>> {
+    let envelope = envelope::read(bytes, whole, report)?;
+    let tables = content::read_tables(&envelope, report)?;
+    #[cfg(feature = "codecs")]
+    let decoded = codec::Decoded::new(envelope.entries.len());
+    let container = Container {
+        envelope,
+        tables,
+        #[cfg(feature = "codecs")]
+        decoded,
+    };
+    content::check_tables(&container, report).then_some(container)
+}
+
+fn first<T>(report: CheckReport, value: Option<T>) -> Result<T, FormatError> {
     match report.findings.into_iter().next() {
         Some(finding) => Err(finding),
-        None => container.ok_or_else(|| FormatError::new(crate::Code::Missing, "tables", "all tables", "none")),
+        None => value.ok_or_else(|| FormatError::new(crate::Code::Missing, "tables", "all tables", "none")),
     }
 }
 
@@ -283,8 +414,9 @@ pub fn check(bytes: &[u8]) -> CheckReport {
         return check(&crate::AlignedBytes::copy_of(bytes));
     }
     let mut report = CheckReport::default();
-    if let Some(mut envelope) = envelope::read(bytes, true, &mut report) {
-        content::read(&mut envelope, true, &mut report);
+    if let Some(container) = read(bytes, true, &mut report) {
+        container.decode(threads());
+        content::examine(&container, true, &mut report);
     }
     report
 }

@@ -1,7 +1,9 @@
 //! The envelope: header, section table, and how sections tile the file. Nothing here knows what is inside a section.
 
 use crate::error::{CheckReport, Code, FormatError};
-use crate::kind::{CODECS, Kind, Occurs, PAYLOAD_ALIGNMENT, PAYLOAD_RANK, TABLE_ALIGNMENT, codec_name};
+use crate::codec;
+use crate::kind::{Kind, Occurs, PAYLOAD_ALIGNMENT, PAYLOAD_RANK, TABLE_ALIGNMENT, codec_name};
+use crate::prelude::*;
 use crate::record::*;
 
 /// What became of a section.
@@ -9,6 +11,8 @@ use crate::record::*;
 pub(crate) enum State {
     /// Inside, hash agrees, known: to be used.
     Sound,
+    /// Payload inside whose bytes nobody has looked at yet: may be used, may be wrong.
+    Unread,
     /// Optional and unknown (kind or version), bytes agree: lent as bytes, otherwise ignored.
     Skipped,
     /// A finding stands against it, or it lies behind the end of a prefix.
@@ -28,7 +32,7 @@ pub(crate) struct Envelope<'a> {
 }
 
 impl<'a> Envelope<'a> {
-    /// The bytes of a section that is at hand.
+    /// The stored bytes of a section that is at hand.
     pub(crate) fn section(&self, number: usize) -> Option<&'a [u8]> {
         if *self.states.get(number)? == State::Absent {
             return None;
@@ -37,11 +41,16 @@ impl<'a> Envelope<'a> {
     }
 
     /// The bytes of a section whatever its state, if they lie inside.
-    fn stored(&self, number: usize) -> Option<&'a [u8]> {
+    pub(crate) fn stored(&self, number: usize) -> Option<&'a [u8]> {
         let entry = self.entries.get(number)?;
         let start = usize::try_from(entry.offset).ok()?;
         let end = start.checked_add(usize::try_from(entry.stored_length).ok()?)?;
         self.bytes.get(start..end)
+    }
+
+    /// The number of the first section of a kind.
+    pub(crate) fn find(&self, kind: Kind) -> Option<u32> {
+        self.entries.iter().position(|entry| entry.kind == kind.0).map(|number| number as u32)
     }
 
     /// Whether reserved bytes must be zero.
@@ -65,7 +74,8 @@ pub(crate) fn first_nonzero(bytes: &[u8]) -> Option<(usize, u8)> {
     bytes.iter().position(|b| *b != 0).map(|i| (i, bytes[i]))
 }
 
-/// Checks header, table and tiling. Findings go to `report`; `None` if they leave nothing to go on with.
+/// Checks header, table and tiling, and the hashes of tables; no byte of payload is read. Findings go to `report`; `None` if
+/// they leave nothing to go on with.
 ///
 /// With `whole`, the bytes must be the file; else they may be a prefix of it, and payload that is not inside is absent
 /// without a finding.
@@ -173,7 +183,7 @@ fn check_tiling(envelope: &mut Envelope<'_>, header: &Header, whole: bool, repor
         let mut skip = false;
         check_entry(number, entry, envelope.strict(), &mut skip, report);
         check_place(number, entry, &mut end, envelope, header, report);
-        let is_table = Kind(entry.kind).row().is_some_and(|row| row.rank < PAYLOAD_RANK);
+        let is_table = is_table(entry);
         if report.count() != before {
             continue;
         }
@@ -184,16 +194,15 @@ fn check_tiling(envelope: &mut Envelope<'_>, header: &Header, whole: bool, repor
             }
             continue;
         };
-        let found = blake3::hash(stored);
-        if found.as_bytes() != &entry.stored_hash {
-            if whole || is_table {
-                let at = format!("{}.stored_hash", place(number, entry));
-                let expected = blake3::Hash::from_bytes(entry.stored_hash);
-                report.push(FormatError::new(Code::StoredHash, at, expected.to_hex(), found.to_hex()));
-            }
+        if is_table && let Some(finding) = wrong_hash(number, entry, stored) {
+            report.push(finding);
             continue;
         }
-        envelope.states[number] = if skip { State::Skipped } else { State::Sound };
+        envelope.states[number] = match (skip, is_table) {
+            (true, _) => State::Skipped,
+            (false, true) => State::Sound,
+            (false, false) => State::Unread,
+        };
         if skip {
             report.skipped.push(format!("{} version {}", Kind(entry.kind), entry.version));
         }
@@ -202,6 +211,33 @@ fn check_tiling(envelope: &mut Envelope<'_>, header: &Header, whole: bool, repor
         let found = format!("{} bytes", header.file_length);
         report.push(FormatError::new(Code::Trailing, "header.file_length", format!("{end} bytes"), found));
     }
+}
+
+pub(crate) fn is_table(entry: &SectionEntry) -> bool {
+    Kind(entry.kind).row().is_some_and(|row| row.rank < PAYLOAD_RANK)
+}
+
+/// What is found against the stored bytes of a section.
+pub(crate) fn wrong_hash(number: usize, entry: &SectionEntry, stored: &[u8]) -> Option<FormatError> {
+    let found = blake3::hash(stored);
+    (found.as_bytes() != &entry.stored_hash).then(|| {
+        let at = format!("{}.stored_hash", place(number, entry));
+        let expected = blake3::Hash::from_bytes(entry.stored_hash);
+        FormatError::new(Code::StoredHash, at, expected.to_hex(), found.to_hex())
+    })
+}
+
+/// What is found against the bytes between a section and the one before it.
+pub(crate) fn wrong_padding(bytes: &[u8], entries: &[SectionEntry], number: usize) -> Option<FormatError> {
+    let end = match number.checked_sub(1) {
+        Some(before) => entries[before].offset.checked_add(entries[before].stored_length)?,
+        None => (HEADER_SIZE + entries.len() * ENTRY_SIZE) as u64,
+    };
+    let start = entries[number].offset.min(bytes.len() as u64);
+    let gap = bytes.get(usize::try_from(end).ok()?..usize::try_from(start).ok()?)?;
+    let (i, byte) = first_nonzero(gap)?;
+    let found = format!("{byte:#04x} at offset {}", end + i as u64);
+    Some(FormatError::new(Code::Padding, format!("before {}", place(number, &entries[number])), "zero", found))
 }
 
 /// The entry's own fields. `skip` is set where an optional section is of unknown kind or version.
@@ -244,11 +280,13 @@ fn check_entry(number: usize, entry: &SectionEntry, strict: bool, skip: &mut boo
         fail(Code::Alignment, "alignment", "16 or 256".into(), entry.alignment.to_string());
     }
     // A skipped section may have any codec: nobody decodes it.
-    let has_codec = CODECS.iter().any(|row| row.0 == entry.codec && row.2);
-    if !has_codec && !*skip {
-        fail(Code::Codec, "codec", "none".into(), codec_name(entry.codec));
+    if !*skip && !codec::is_for(entry.codec, kind) {
+        fail(Code::Codec, "codec", codec::names(kind), codec_name(entry.codec));
     }
-    if entry.codec == 0 {
+    if !*skip && entry.raw_length > codec::most_raw(entry.codec, entry.stored_length) {
+        let most = format!("at most {}", codec::most_raw(entry.codec, entry.stored_length));
+        fail(Code::RawLength, "raw_length", most, entry.raw_length.to_string());
+    } else if entry.codec == 0 {
         if entry.raw_length != entry.stored_length {
             fail(Code::RawLength, "raw_length", entry.stored_length.to_string(), entry.raw_length.to_string());
         }
@@ -280,11 +318,10 @@ fn check_place(
         report.push(FormatError::new(Code::Overlap, &*at, format!("{end} or more"), entry.offset));
     } else if entry.offset > first {
         report.push(FormatError::new(Code::Hole, &*at, first, entry.offset));
-    } else if let Some(gap) = envelope.bytes.get(*end as usize..(entry.offset as usize).min(envelope.bytes.len()))
-        && let Some((i, byte)) = first_nonzero(gap)
+    } else if is_table(entry)
+        && let Some(finding) = wrong_padding(envelope.bytes, envelope.entries, number)
     {
-        let found = format!("{byte:#04x} at offset {}", *end + i as u64);
-        report.push(FormatError::new(Code::Padding, format!("before {}", place(number, entry)), "zero", found));
+        report.push(finding);
     }
     match entry.offset.checked_add(entry.stored_length) {
         Some(own) if own <= header.file_length => *end = own.max(*end),

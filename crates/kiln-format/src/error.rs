@@ -1,5 +1,7 @@
 //! Every check of the format as one row of one table, and the error that names it.
 
+use crate::prelude::*;
+
 /// Declares [`Code`] and its table out of one list, so that neither can miss a row.
 macro_rules! codes {
     ($($name:ident $number:literal $word:literal $sentence:literal)*) => {
@@ -59,7 +61,8 @@ codes! {
     RawHash "K215" "raw-hash" "The hash of a section's raw bytes agrees."
     Duplicate "K216" "duplicate" "A table occurs once."
     Missing "K217" "missing" "Every required table is there."
-    Order "K218" "order" "Sections stand in canonical order: tables, then coarse to fine, large mips last."
+    Order "K218" "order" "Sections stand in canonical order: tables, then coarse to fine, layouts, large mips last."
+    Decode "K219" "decode" "A coded section decodes to as many bytes as its entry says."
     TableLength "K301" "table-length" "A table is exactly as long as its counts say."
     Count "K302" "count" "A count is within its maximum."
     Text "K303" "text" "A string is UTF-8 in normalisation form C and at most 65,535 bytes long."
@@ -72,15 +75,30 @@ codes! {
     Ranges "K310" "ranges" "Draw ranges follow each other without gap, hold whole triangles and cover all indices."
     IndexWidth "K311" "index-width" "Indices take 2 bytes up to 65,535 vertices, else 4."
     IndexRange "K312" "index-range" "An index is below the vertex count and inside its draw range's vertices."
-    Arrays "K313" "arrays" "Arrays tile their payload: registered semantics ascending, positions first, each on a multiple of 256."
+    Arrays "K313" "arrays" "Arrays tile their payload or are the first elements of level 0's: registered semantics ascending, positions first, each on a multiple of 256."
     Box "K314" "box" "A bounding box is the smallest one."
     Mips "K315" "mips" "Mip sizes halve, rounding down, and each mip lies where its record says."
     Role "K316" "role" "A texture's format suits its roles; these are those of its users or, where no material uses it, one extra."
+    LayoutLength "K317" "layout-length" "A layout section is exactly as long as its counts say; LEAF is there if and only if TREE is."
+    LayoutCount "K318" "layout-count" "A layout's counts are level 0's where they name its vertices and triangles, and within their maxima."
+    Checkpoints "K319" "checkpoints" "Checkpoints run from the finest detail to the coarsest, with the vertices and triangles alive there; triangles do not rise, errors do not fall, and a level that one names has as many triangles."
+    Points "K320" "points" "Starts of points are bits of vertices, the first one set, and as many points as collapses lie at and behind the base vertices."
+    Parents "K321" "parents" "All vertices of a point go to one point before it; those below the base vertices stay."
+    Vanishing "K322" "vanishing" "All triangles are alive at LOD 0, and in each draw range the last to vanish stand first."
+    TreeRows "K323" "tree-rows" "Row starts rise from 0 to the node count; a child's row is behind its parent's."
+    TreeTexels "K324" "tree-texels" "Columns hold a path each, from the root, rows without a node filled from below, q being k / n; all else is zero."
+    Terminals "K325" "terminals" "A leaf texel is its vertex' position with the texel of a node in that node's own row; a terminal is a node."
+    FaceCounts "K326" "face-counts" "Face counts are the triangles alive at each threshold, the last one all."
+    ClusterRanges "K327" "cluster-ranges" "References, corners and clusters follow each other without gap; groups stand by level."
+    ClusterCorners "K328" "cluster-corners" "References are below the vertex count, corners below their cluster's vertices, submeshes are there."
+    ClusterGroups "K329" "cluster-groups" "A cluster stands in its group, on its level, and was made by a group of a finer level; none made those of level 0."
+    ClusterErrors "K330" "cluster-errors" "A group's error is at least those of the groups that made its clusters; a group that nothing replaces has the greatest finite one."
+    ClusterSpheres "K331" "cluster-spheres" "Spheres hold their clusters' vertices, their groups' clusters and the groups that made those."
+    ClusterTriangles "K332" "cluster-triangles" "The clusters of level 0 hold each of level 0's triangles once, in its submesh."
 }
 
 /// A check that failed.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{} {}: {place}: expected {expected}, found {found}", .code.number(), .code.name())]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FormatError {
     /// Which check.
     pub code: Code,
@@ -91,6 +109,15 @@ pub struct FormatError {
     /// What is there.
     pub found: String,
 }
+
+impl core::fmt::Display for FormatError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let FormatError { code, place, expected, found } = self;
+        write!(f, "{} {}: {place}: expected {expected}, found {found}", code.number(), code.name())
+    }
+}
+
+impl core::error::Error for FormatError {}
 
 impl FormatError {
     pub(crate) fn new(

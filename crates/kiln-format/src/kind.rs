@@ -1,6 +1,7 @@
 //! Registries: section kinds, codecs, vertex semantics and formats, texture formats, channels. Rows of these tables are the
 //! rows of the specification.
 
+use crate::prelude::*;
 use crate::error::Code;
 
 /// A section's kind: four ASCII letters or digits. Kinds that start with an upper-case letter are registered in the
@@ -29,6 +30,19 @@ impl Kind {
     pub const MIP_TAIL: Kind = Kind(*b"MIPT");
     /// One large mip of one texture.
     pub const MIP: Kind = Kind(*b"MIPL");
+    /// Sliding window over level 0.
+    pub const WINDOW: Kind = Kind(*b"WNDW");
+    /// Tree buffer over level 0.
+    pub const TREE: Kind = Kind(*b"TREE");
+    /// Leaf buffer that goes with it.
+    pub const LEAF: Kind = Kind(*b"LEAF");
+    /// Compact tree over level 0.
+    pub const COMPACT_TREE: Kind = Kind(*b"CTRE");
+    /// Cluster DAG over level 0.
+    pub const CLUSTERS: Kind = Kind(*b"CLUS");
+
+    /// Sections of [`crate::Layouts`], in canonical order.
+    pub const LAYOUTS: [Kind; 5] = [Kind::WINDOW, Kind::TREE, Kind::LEAF, Kind::COMPACT_TREE, Kind::CLUSTERS];
 
     /// Whether the four bytes form a name.
     pub fn is_well_formed(self) -> bool {
@@ -46,14 +60,14 @@ impl Kind {
     }
 }
 
-impl std::fmt::Display for Kind {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+impl core::fmt::Display for Kind {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         self.0.escape_ascii().fmt(f)
     }
 }
 
-impl std::fmt::Debug for Kind {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+impl core::fmt::Debug for Kind {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         write!(f, "Kind({self})")
     }
 }
@@ -103,10 +117,15 @@ pub const FIRST_TEXTURES: u16 = 1;
 /// Version of [`Kind::TEXTURES`] with deep and block-compressed formats and extra pictures.
 pub const WIDE_TEXTURES: u16 = 2;
 
-/// Section kinds of container version 1.1.
-pub const KINDS: [KindRow; 10] = [
+/// Version of [`Kind::LEVELS`] in which each level has all elements of its vertex section.
+pub const FIRST_LEVELS: u16 = 1;
+/// Version of [`Kind::LEVELS`] in which a level may have the first elements of level 0's arrays; with 1.2.
+pub const SHARED_LEVELS: u16 = 2;
+
+/// Section kinds of container version 1.2.
+pub const KINDS: [KindRow; 15] = [
     row(Kind::STRINGS, true, TABLE_ALIGNMENT, 0, Occurs::Once),
-    row(Kind::LEVELS, true, TABLE_ALIGNMENT, 1, Occurs::Once),
+    KindRow { version: SHARED_LEVELS, ..row(Kind::LEVELS, true, TABLE_ALIGNMENT, 1, Occurs::Once) },
     row(Kind::SUBMESHES, true, TABLE_ALIGNMENT, 2, Occurs::Once),
     row(Kind::MATERIALS, true, TABLE_ALIGNMENT, 3, Occurs::Once),
     KindRow { version: WIDE_TEXTURES, ..row(Kind::TEXTURES, true, TABLE_ALIGNMENT, 4, Occurs::Once) },
@@ -114,16 +133,21 @@ pub const KINDS: [KindRow; 10] = [
     row(Kind::VERTICES, true, PAYLOAD_ALIGNMENT, 6, Occurs::Many),
     row(Kind::INDICES, true, PAYLOAD_ALIGNMENT, 6, Occurs::Many),
     row(Kind::MIP_TAIL, true, PAYLOAD_ALIGNMENT, 6, Occurs::Many),
-    row(Kind::MIP, true, PAYLOAD_ALIGNMENT, 7, Occurs::Many),
+    row(Kind::WINDOW, false, PAYLOAD_ALIGNMENT, 7, Occurs::AtMostOnce),
+    row(Kind::TREE, false, PAYLOAD_ALIGNMENT, 8, Occurs::AtMostOnce),
+    row(Kind::LEAF, false, PAYLOAD_ALIGNMENT, 9, Occurs::AtMostOnce),
+    row(Kind::COMPACT_TREE, false, PAYLOAD_ALIGNMENT, 10, Occurs::AtMostOnce),
+    row(Kind::CLUSTERS, false, PAYLOAD_ALIGNMENT, 11, Occurs::AtMostOnce),
+    row(Kind::MIP, true, PAYLOAD_ALIGNMENT, 12, Occurs::Many),
 ];
 
-/// Codecs by number: name, and whether version 1.0 has it. Only `none` is in use; the others hold their number.
+/// Codecs by number: name, and whether it is in use; the others hold their number.
 pub const CODECS: [(u32, &str, bool); 5] = [
     (0, "none", true),
-    (1, "zstd", false),
+    (1, "zstd", true),
     (2, "lz4", false),
-    (3, "meshopt-vertex", false),
-    (4, "meshopt-index", false),
+    (3, "meshopt-vertex", true),
+    (4, "meshopt-index", true),
 ];
 
 /// The codec's name, or its number.

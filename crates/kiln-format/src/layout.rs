@@ -12,6 +12,11 @@
 
 use bytemuck::{Pod, Zeroable};
 
+use crate::kind::{Kind, PAYLOAD_ALIGNMENT};
+use crate::prelude::*;
+
+/// Flag bit of a window that has `starts`.
+pub const WINDOW_HAS_STARTS: u32 = 1;
 /// Greatest width of a tree buffer, texels: what every graphics interface has.
 pub const MAX_TREE_WIDTH: u32 = 8192;
 /// Most texels of a tree buffer: pointers are exact integers in f32.
@@ -242,3 +247,143 @@ const _: () = {
     assert!(size_of::<ClusterRecord>() == 64);
     assert!(size_of::<GroupRecord>() == 32);
 };
+
+/// Cuts arrays off the front of a layout section.
+struct Cutter<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    /// Paddings so far are zero.
+    zero: bool,
+}
+
+impl<'a> Cutter<'a> {
+    fn new(bytes: &'a [u8]) -> Cutter<'a> {
+        Cutter { bytes, at: 0, zero: true }
+    }
+
+    /// `count` records behind the ones before.
+    fn take<T: Pod>(&mut self, count: u64) -> Option<&'a [T]> {
+        let length = usize::try_from(count).ok()?.checked_mul(size_of::<T>())?;
+        let own = self.bytes.get(self.at..self.at.checked_add(length)?)?;
+        self.at += length;
+        bytemuck::try_cast_slice(own).ok()
+    }
+
+    /// `count` records on the next multiple of 256.
+    fn take_aligned<T: Pod>(&mut self, count: u64) -> Option<&'a [T]> {
+        let start = self.at.checked_next_multiple_of(PAYLOAD_ALIGNMENT as usize)?;
+        self.zero &= self.bytes.get(self.at..start)?.iter().all(|byte| *byte == 0);
+        self.at = start;
+        self.take(count)
+    }
+
+    fn header<T: Pod>(&mut self) -> Option<T> {
+        self.take::<T>(1)?.first().copied()
+    }
+
+    /// Whether all paddings were zero; nothing if bytes are left.
+    fn finish(self) -> Option<bool> {
+        (self.at == self.bytes.len()).then_some(self.zero)
+    }
+}
+
+/// What a section holds, and whether its paddings are zero; nothing if it is not as long as its counts say.
+pub(crate) fn cut_window(bytes: &[u8]) -> Option<(WindowView<'_>, bool)> {
+    let mut cutter = Cutter::new(bytes);
+    let header: WindowHeader = cutter.header()?;
+    let checkpoints = cutter.take(header.checkpoints as u64)?;
+    let parents = cutter.take_aligned(header.vertices as u64)?;
+    let flagged = header.flags & WINDOW_HAS_STARTS != 0;
+    let starts = if flagged { cutter.take_aligned(header.vertices.div_ceil(32) as u64)? } else { &[] };
+    Some((WindowView { header, checkpoints, parents, starts }, cutter.finish()?))
+}
+
+/// As [`cut_window`], of TREE and LEAF.
+pub(crate) fn cut_tree<'a>(tree: &'a [u8], leaf: &'a [u8]) -> Option<(TreeLeafView<'a>, bool)> {
+    let mut cutter = Cutter::new(tree);
+    let header: TreeHeader = cutter.header()?;
+    let (checkpoints, row_starts, face_counts) = cut_tree_start(&header, &mut cutter)?;
+    let blocks = header.columns.checked_div(header.width).unwrap_or(0) as u64
+        + (header.width != 0 && !header.columns.is_multiple_of(header.width)) as u64;
+    let texels = (header.width as u64 * header.rows as u64).checked_mul(blocks)?;
+    let tree = cutter.take_aligned(texels)?;
+    let mut leaves = Cutter::new(leaf);
+    let leaf = leaves.take(header.vertices as u64)?;
+    leaves.finish()?;
+    Some((TreeLeafView { header, checkpoints, row_starts, face_counts, tree, leaf }, cutter.finish()?))
+}
+
+/// As [`cut_window`], of CTRE.
+pub(crate) fn cut_compact_tree(bytes: &[u8]) -> Option<(CompactTreeView<'_>, bool)> {
+    let mut cutter = Cutter::new(bytes);
+    let header: TreeHeader = cutter.header()?;
+    let (checkpoints, row_starts, face_counts) = cut_tree_start(&header, &mut cutter)?;
+    let nodes = cutter.take_aligned(header.nodes as u64)?;
+    let terminals = cutter.take_aligned(header.vertices as u64)?;
+    Some((CompactTreeView { header, checkpoints, row_starts, face_counts, nodes, terminals }, cutter.finish()?))
+}
+
+/// Checkpoints, row starts and face counts.
+type TreeStart<'a> = (&'a [Checkpoint], &'a [u32], &'a [u32]);
+
+fn cut_tree_start<'a>(header: &TreeHeader, cutter: &mut Cutter<'a>) -> Option<TreeStart<'a>> {
+    let checkpoints = cutter.take(header.checkpoints as u64)?;
+    let row_starts = cutter.take(header.rows as u64 + 1)?;
+    Some((checkpoints, row_starts, cutter.take_aligned(header.nodes as u64 + 1)?))
+}
+
+/// As [`cut_window`], of CLUS.
+pub(crate) fn cut_clusters(bytes: &[u8]) -> Option<(ClusterView<'_>, bool)> {
+    let mut cutter = Cutter::new(bytes);
+    let header: ClusterHeader = cutter.header()?;
+    let clusters = cutter.take_aligned(header.clusters as u64)?;
+    let groups = cutter.take_aligned(header.groups as u64)?;
+    let references = cutter.take_aligned(header.references as u64)?;
+    let corners = cutter.take_aligned(header.triangles as u64 * 3)?;
+    Some((ClusterView { header, clusters, groups, references, corners }, cutter.finish()?))
+}
+
+/// Appends arrays as [`Cutter`] cuts them.
+fn join(start: &[&[u8]], aligned: &[&[u8]]) -> Vec<u8> {
+    let mut out = start.concat();
+    for bytes in aligned {
+        out.resize(out.len().next_multiple_of(PAYLOAD_ALIGNMENT as usize), 0);
+        out.extend_from_slice(bytes);
+    }
+    out
+}
+
+impl Layouts<'_> {
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.window.is_none() && self.tree_leaf.is_none() && self.compact_tree.is_none() && self.clusters.is_none()
+    }
+
+    /// The sections in canonical order.
+    pub(crate) fn sections(&self) -> Vec<(Kind, Vec<u8>)> {
+        use bytemuck::{bytes_of, cast_slice};
+        let mut out = Vec::new();
+        if let Some(w) = &self.window {
+            let start: [&[u8]; 2] = [bytes_of(&w.header), cast_slice(w.checkpoints)];
+            let arrays: [&[u8]; 2] = [cast_slice(w.parents), cast_slice(w.starts)];
+            let count = if w.header.flags & WINDOW_HAS_STARTS != 0 { 2 } else { 1 };
+            out.push((Kind::WINDOW, join(&start, &arrays[..count])));
+        }
+        if let Some(t) = &self.tree_leaf {
+            let start: [&[u8]; 3] = [bytes_of(&t.header), cast_slice(t.checkpoints), cast_slice(t.row_starts)];
+            out.push((Kind::TREE, join(&start, &[cast_slice(t.face_counts), cast_slice(t.tree)])));
+            out.push((Kind::LEAF, cast_slice(t.leaf).to_vec()));
+        }
+        if let Some(t) = &self.compact_tree {
+            let start: [&[u8]; 3] = [bytes_of(&t.header), cast_slice(t.checkpoints), cast_slice(t.row_starts)];
+            let arrays: [&[u8]; 3] = [cast_slice(t.face_counts), cast_slice(t.nodes), cast_slice(t.terminals)];
+            out.push((Kind::COMPACT_TREE, join(&start, &arrays)));
+        }
+        if let Some(c) = &self.clusters {
+            let arrays: [&[u8]; 4] =
+                [cast_slice(c.clusters), cast_slice(c.groups), cast_slice(c.references), cast_slice(c.corners)];
+            out.push((Kind::CLUSTERS, join(&[bytes_of(&c.header)], &arrays)));
+        }
+        out
+    }
+}

@@ -7,23 +7,31 @@
 //!
 //! **Method.**
 //! ```text
-//! write:  tables and payload -> sections; place them: tables, coarse to fine geometry with mip tails, large mips
-//!         append each at its alignment, zeros between; hash each; write the section table; write the header and its hash
-//! open:   envelope: header, hash of header and table, sections tile the file exactly, hash of each
-//!         content:  tables are as long as their counts, every reference in range, every number finite
-//!         payload:  arrays tile their section, indices below the vertex count, boxes the smallest
+//! write:  tables and payload -> sections; place them: tables, coarse to fine geometry with mip tails, layouts, large mips
+//!         code payload if asked and smaller; append each at its alignment, zeros between; hash each
+//!         write the section table; write the header and its hash
+//! open:   tables:   header, hash of header and table, sections tile the file, tables as long as their counts, hashed,
+//!                   every reference in range, every number finite; no byte of payload is touched
+//!         validate: hash of each payload section, decoded where coded; arrays tile their section, indices below the
+//!                   vertex count, boxes the smallest, every promise of the layouts
 //! check:  the same walk, all findings instead of the first
 //! ```
-//! Reading order: [`record`] (the bytes), [`kind`] (registries), `envelope`, `content` (the checks), [`container`], [`mod@write`],
-//! [`error`] (one code a check).
+//! Reading order: [`record`] and [`layout`] (the bytes), [`kind`] (registries), `envelope`, `content` (the checks),
+//! [`container`], [`codec`], [`mod@write`], [`error`] (one code a check).
 //!
-//! **Limits.** `open` reads every byte once (hashes and indices); a lazy mode and a mapped file wait for the runtime's own
-//! chapter. One codec, `none`. Vertex formats are unquantised. Little-endian hosts only.
+//! **Limits.** Vertex formats are unquantised. Little-endian hosts only. Without feature `std` there are no codecs.
 //!
 //! Sources: the layout rules follow what KTX 2.0 (Khronos, 2020), PNG (ISO/IEC 15948:2004, the magic) and safetensors
 //! (no holes, no overlap, capped counts) do; BLAKE3 by O'Connor, Aumasson, Neves, Wilcox-O'Hearn, 2020.
 
+#![no_std]
+
+extern crate alloc;
+#[cfg(any(feature = "std", test))]
+extern crate std;
+
 pub mod aligned;
+pub mod codec;
 pub mod container;
 mod content;
 mod envelope;
@@ -36,7 +44,15 @@ pub mod record;
 mod tests;
 pub mod write;
 
+/// What the standard prelude has of `alloc`.
+mod prelude {
+    pub(crate) use alloc::string::{String, ToString};
+    pub(crate) use alloc::vec::Vec;
+    pub(crate) use alloc::{format, vec};
+}
+
 pub use aligned::AlignedBytes;
+pub use codec::{Packing, canonical_indices};
 pub use container::{Container, Indices, LevelView, Section, check};
 pub use content::full_mip_count;
 pub use error::{CheckReport, Code, FormatError};

@@ -6,6 +6,7 @@ use unicode_normalization::UnicodeNormalization;
 
 use crate::envelope::first_nonzero;
 use crate::error::{Code, FormatError};
+use crate::prelude::*;
 use crate::record::{MAX_STRING, ProvenanceHeader};
 
 /// What made the file. No times, no absolute paths, no names of machines: the same build gives the same bytes everywhere.
@@ -57,7 +58,7 @@ pub(crate) fn cut_string<'a>(rest: &mut &'a [u8], at: &str) -> Result<&'a str, F
     if let Some((_, byte)) = first_nonzero(padding) {
         return Err(FormatError::new(Code::Padding, at, "zeros behind the string", format!("{byte:#04x}")));
     }
-    let string = std::str::from_utf8(bytes)
+    let string = core::str::from_utf8(bytes)
         .map_err(|e| FormatError::new(Code::Text, at, "UTF-8", format!("bad bytes after {}", e.valid_up_to())))?;
     if !unicode_normalization::is_nfc(string) {
         return Err(FormatError::new(Code::Text, at, "normalisation form C", format!("{string:?}")));

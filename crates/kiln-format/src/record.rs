@@ -13,7 +13,7 @@ pub const ENDIAN: u32 = 0x0102_0304;
 /// Major version: another one is refused.
 pub const MAJOR: u16 = 1;
 /// Newest minor version that this crate knows; newer ones are read. The writer states the oldest that holds the content.
-pub const MINOR: u16 = 1;
+pub const MINOR: u16 = 2;
 /// Bytes of the header.
 pub const HEADER_SIZE: usize = 96;
 /// Bytes of the header that the header's hash covers.

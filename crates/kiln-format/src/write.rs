@@ -1,18 +1,21 @@
 //! The canonical writer: the same content gives the same bytes.
 
-use std::borrow::Cow;
-use std::collections::BTreeMap;
+use alloc::borrow::Cow;
+use alloc::collections::BTreeMap;
 
 use unicode_normalization::UnicodeNormalization;
 
 use crate::aligned::AlignedBytes;
+use crate::codec::{self, Packing};
 use crate::container::Container;
 use crate::content::{full_mip_count, payload::box_of};
 use crate::error::{Code, FormatError};
 use crate::kind::{
-    Channel, ErrorKind, Extra, FIRST_TEXTURES, Kind, PAYLOAD_ALIGNMENT, Role, Semantic, TABLE_ALIGNMENT, TextureFormat,
-    WIDE_TEXTURES,
+    Channel, ErrorKind, Extra, FIRST_LEVELS, FIRST_TEXTURES, Kind, PAYLOAD_ALIGNMENT, Role, SHARED_LEVELS, Semantic,
+    TABLE_ALIGNMENT, TextureFormat, WIDE_TEXTURES,
 };
+use crate::layout::Layouts;
+use crate::prelude::*;
 use crate::provenance::{self, Provenance};
 use crate::record::*;
 
@@ -37,6 +40,10 @@ pub struct Content<'a> {
     pub textures: Vec<TextureContent<'a>>,
     /// What made it.
     pub provenance: Option<Provenance>,
+    /// More levels of detail over level 0.
+    pub layouts: Layouts<'a>,
+    /// How payload is stored. With [`Packing::Meshopt`] indices are written as [`crate::canonical_indices`] gives them.
+    pub packing: Packing,
     /// Private sections, written last in the given order.
     pub private: Vec<PrivateSection<'a>>,
 }
@@ -54,6 +61,9 @@ pub struct LevelContent<'a> {
     pub indices: &'a [u32],
     /// `[submesh_count]`, number of indices of each submesh.
     pub index_counts: Vec<u32>,
+    /// Whether the arrays are the first elements of level 0's, as half-edge collapses leave them; they are stored once then.
+    /// Nothing on level 0.
+    pub shares_vertices: bool,
 }
 
 /// One submesh.
@@ -110,7 +120,11 @@ struct Pending<'a> {
     flags: u16,
     alignment: u32,
     bytes: Cow<'a, [u8]>,
+    coded: Option<Coded>,
 }
+
+/// Codec, and bytes in it, fewer than the raw ones.
+type Coded = (u32, Vec<u8>);
 
 /// Numbers strings in order of first use.
 #[derive(Default)]
@@ -162,11 +176,19 @@ pub fn write(content: &Content<'_>) -> Result<Vec<u8>, FormatError> {
     tables[4].1 = texture_table(content, &payload, &names, &roles);
 
     let wide = content.textures.iter().any(|t| !t.format.is_first() || t.extra.is_some());
-    let minor = (wide || content.layout.is_some_and(|layout| layout[3] > 1)) as u16;
-    let mut sections: Vec<Pending<'_>> = tables.into_iter().map(|(kind, bytes)| pending(kind, bytes.into())).collect();
+    let shared = content.levels.iter().skip(1).any(|level| level.shares_vertices);
+    let coded = payload.sections.iter().any(|(_, _, coded)| coded.is_some());
+    let minor = match () {
+        () if shared || coded || !content.layouts.is_empty() => 2,
+        () if wide || content.layout.is_some_and(|layout| layout[3] > 1) => 1,
+        () => 0,
+    };
+    let mut sections: Vec<Pending<'_>> =
+        tables.into_iter().map(|(kind, bytes)| pending(kind, bytes.into(), None)).collect();
     // Whoever cannot read the new formats must refuse them; everybody else goes on as before.
+    sections[1].version = if shared { SHARED_LEVELS } else { FIRST_LEVELS };
     sections[4].version = if wide { WIDE_TEXTURES } else { FIRST_TEXTURES };
-    sections.extend(payload.sections.into_iter().map(|(kind, bytes)| pending(kind, bytes)));
+    sections.extend(payload.sections.into_iter().map(|(kind, bytes, coded)| pending(kind, bytes, coded)));
     for private in &content.private {
         sections.push(Pending {
             kind: private.kind,
@@ -174,6 +196,7 @@ pub fn write(content: &Content<'_>) -> Result<Vec<u8>, FormatError> {
             flags: if private.required { FLAG_REQUIRED } else { 0 },
             alignment: if private.payload { PAYLOAD_ALIGNMENT } else { TABLE_ALIGNMENT },
             bytes: Cow::Borrowed(&private.bytes),
+            coded: None,
         });
     }
     let bytes = assemble(&sections, minor);
@@ -185,37 +208,42 @@ pub fn write(content: &Content<'_>) -> Result<Vec<u8>, FormatError> {
     Container::open(&AlignedBytes::copy_of(&bytes)).map(|_| bytes)
 }
 
-fn pending(kind: Kind, bytes: Cow<'_, [u8]>) -> Pending<'_> {
+fn pending(kind: Kind, bytes: Cow<'_, [u8]>, coded: Option<Coded>) -> Pending<'_> {
     let row = kind.row().expect("invariant: only registered kinds come here");
     let flags = if row.required { FLAG_REQUIRED } else { 0 };
-    Pending { kind, version: row.version, flags, alignment: row.alignment, bytes }
+    Pending { kind, version: row.version, flags, alignment: row.alignment, bytes, coded }
 }
 
 /// Payload first, header last.
 fn assemble(sections: &[Pending<'_>], minor: u16) -> Vec<u8> {
     let table_end = HEADER_SIZE + sections.len() * ENTRY_SIZE;
-    let total: usize = sections.iter().map(|s| s.bytes.len() + s.alignment as usize).sum();
+    let stored = |s: &Pending<'_>| s.coded.as_ref().map_or(s.bytes.len(), |(_, bytes)| bytes.len());
+    let total: usize = sections.iter().map(|s| stored(s) + s.alignment as usize).sum();
     let mut out = Vec::with_capacity(table_end + total);
     out.resize(table_end, 0);
     let mut entries = Vec::with_capacity(sections.len());
     for section in sections {
         out.resize(out.len().next_multiple_of(section.alignment as usize), 0);
-        let hash = *blake3::hash(&section.bytes).as_bytes();
+        let raw_hash = *blake3::hash(&section.bytes).as_bytes();
+        let (codec, bytes, stored_hash) = match &section.coded {
+            Some((codec, bytes)) => (*codec, &bytes[..], *blake3::hash(bytes).as_bytes()),
+            None => (codec::NONE, &*section.bytes, raw_hash),
+        };
         entries.push(SectionEntry {
             kind: section.kind.0,
             version: section.version,
             flags: section.flags,
-            codec: 0,
+            codec,
             alignment: section.alignment,
             offset: out.len() as u64,
-            stored_length: section.bytes.len() as u64,
+            stored_length: bytes.len() as u64,
             raw_length: section.bytes.len() as u64,
             reserved0: [0; 8],
-            stored_hash: hash,
-            raw_hash: hash,
+            stored_hash,
+            raw_hash,
             reserved1: [0; 16],
         });
-        out.extend_from_slice(&section.bytes);
+        out.extend_from_slice(bytes);
     }
     let header = Header {
         magic: MAGIC,
@@ -252,7 +280,8 @@ pub fn seal(bytes: &mut [u8]) {
 /// Payload sections in canonical order, and where each thing went.
 struct Payload<'a> {
     first_number: u32,
-    sections: Vec<(Kind, Cow<'a, [u8]>)>,
+    packing: Packing,
+    sections: Vec<(Kind, Cow<'a, [u8]>, Option<Coded>)>,
     /// By level: vertex and index section.
     geometry: Vec<[u32; 2]>,
     /// By level.
@@ -269,6 +298,7 @@ impl<'a> Payload<'a> {
     fn new(content: &Content<'_>, first_number: u32) -> Payload<'a> {
         Payload {
             first_number,
+            packing: content.packing,
             sections: Vec::new(),
             geometry: vec![[NONE; 2]; content.levels.len()],
             arrays: vec![Vec::new(); content.levels.len()],
@@ -278,25 +308,27 @@ impl<'a> Payload<'a> {
         }
     }
 
+    /// A section in the packing's general codec, if that is smaller.
     fn push(&mut self, kind: Kind, bytes: Cow<'a, [u8]>) -> u32 {
-        self.sections.push((kind, bytes));
+        let coded = (self.packing != Packing::Raw).then(|| codec::encode_zstd(&bytes)).flatten();
+        self.push_coded(kind, bytes, codec::ZSTD, coded)
+    }
+
+    fn push_coded(&mut self, kind: Kind, bytes: Cow<'a, [u8]>, codec: u32, coded: Option<Vec<u8>>) -> u32 {
+        let raw = bytes.len() as u64;
+        let worth = |coded: &Vec<u8>| (coded.len() as u64) < raw && raw <= codec::most_raw(codec, coded.len() as u64);
+        self.sections.push((kind, bytes, coded.filter(worth).map(|coded| (codec, coded))));
         self.first_number + self.sections.len() as u32 - 1
     }
 
-    /// Coarse to fine geometry with tails, left-over tails, large mips by size.
+    /// Coarse to fine geometry with tails, left-over tails, layouts, large mips by size.
     fn place(&mut self, content: &'a Content<'_>) -> Result<(), FormatError> {
         for (lod, level) in content.levels.iter().enumerate().rev() {
-            let (bytes, arrays) = vertex_bytes(level);
-            self.arrays[lod] = arrays;
-            let vertices = self.push(Kind::VERTICES, bytes.into());
-            let vertex_count = level.vertex_count();
-            let indices = if vertex_count <= MAX_U16_VERTICES as usize {
-                let narrow: Vec<u16> = level.indices.iter().map(|i| *i as u16).collect();
-                Cow::Owned(bytemuck::cast_slice(&narrow).to_vec())
-            } else {
-                Cow::Borrowed(bytemuck::cast_slice(level.indices))
+            let vertices = match lod > 0 && level.shares_vertices {
+                true => self.shared_vertices(content, lod)?,
+                false => self.vertices(level, lod),
             };
-            self.geometry[lod] = [vertices, self.push(Kind::INDICES, indices)];
+            self.geometry[lod] = [vertices, self.indices(level)];
             for texture in textures_of(content, level) {
                 let tail = self.tail(content, texture)?;
                 self.tails[lod].push(tail);
@@ -304,6 +336,9 @@ impl<'a> Payload<'a> {
         }
         for texture in 0..content.textures.len() {
             self.tail(content, texture)?;
+        }
+        for (kind, bytes) in content.layouts.sections() {
+            self.push(kind, bytes.into());
         }
         let mut large = Vec::new();
         for (number, texture) in content.textures.iter().enumerate() {
@@ -317,6 +352,64 @@ impl<'a> Payload<'a> {
             self.mips[texture][k].section = self.push(Kind::MIP, bytes);
         }
         Ok(())
+    }
+
+    /// The section number of a level's vertices, written on first use.
+    fn vertices(&mut self, level: &LevelContent<'_>, lod: usize) -> u32 {
+        if self.geometry[lod][0] == NONE {
+            let (bytes, arrays) = vertex_bytes(level);
+            self.geometry[lod][0] = match self.packing {
+                Packing::Meshopt => {
+                    let coded = codec::encode_vertices(&bytes, &arrays);
+                    self.push_coded(Kind::VERTICES, bytes.into(), codec::VERTEX, coded)
+                }
+                _ => self.push(Kind::VERTICES, bytes.into()),
+            };
+            self.arrays[lod] = arrays;
+        }
+        self.geometry[lod][0]
+    }
+
+    /// That of level 0's, of which the level has the first elements.
+    fn shared_vertices(&mut self, content: &Content<'_>, lod: usize) -> Result<u32, FormatError> {
+        let (level, finest) = (&content.levels[lod], &content.levels[0]);
+        let section = self.vertices(finest, 0);
+        let starts = |((own, bytes), (semantic, all)): (&(Semantic, &[u8]), &(Semantic, &[u8]))| {
+            own == semantic && all.starts_with(bytes)
+        };
+        if level.arrays.len() != finest.arrays.len() || !level.arrays.iter().zip(&finest.arrays).all(starts) {
+            let expected = "the first elements of each of level 0's arrays";
+            return Err(FormatError::new(Code::Arrays, format!("levels[{lod}].arrays"), expected, "others"));
+        }
+        let records = self.arrays[0].iter().zip(&level.arrays);
+        self.arrays[lod] =
+            records.map(|(record, (_, bytes))| ArrayRecord { length: bytes.len() as u64, ..*record }).collect();
+        Ok(section)
+    }
+
+    /// The section number of a level's indices, in its width; those of the codec as decoding gives them.
+    fn indices(&mut self, level: &'a LevelContent<'_>) -> u32 {
+        let vertices = level.vertex_count() as u32;
+        let coded = match self.packing {
+            Packing::Meshopt => codec::encode_indices(level.indices, vertices),
+            _ => None,
+        };
+        let (stream, indices) = match coded {
+            Some((stream, indices)) => (Some(stream), Cow::Owned(indices)),
+            None => (None, Cow::Borrowed(level.indices)),
+        };
+        let bytes = match indices {
+            indices if vertices <= MAX_U16_VERTICES => {
+                let narrow: Vec<u16> = indices.iter().map(|i| *i as u16).collect();
+                Cow::Owned(bytemuck::cast_slice(&narrow).to_vec())
+            }
+            Cow::Owned(indices) => Cow::Owned(bytemuck::cast_slice(&indices).to_vec()),
+            Cow::Borrowed(indices) => Cow::Borrowed(bytemuck::cast_slice(indices)),
+        };
+        match stream {
+            Some(stream) => self.push_coded(Kind::INDICES, bytes, codec::INDEX, Some(stream)),
+            None => self.push(Kind::INDICES, bytes),
+        }
     }
 
     /// The section number of a texture's tail, written on first use.

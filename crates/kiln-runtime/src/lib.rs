@@ -1,42 +1,64 @@
-//! For engines: open a container, choose a level for a view, lend slices.
+//! For engines: map a container, choose a level for a view, lend slices.
 //!
-//! [`Lods::open`] checks everything once; from then on all accessors lend slices of the caller's bytes and allocate nothing.
-//! They still bounds-check: a wrong number gives `None` or an empty slice, never a panic.
+//! ```text
+//! MappedFile, AlignedBytes or any bytes on a multiple of 16
+//!   Lods::open         every byte is read and checked once (hashes, indices, layouts)
+//!   Lods::open_tables  header and tables only, whatever the file's size; validate() does the rest, when and if wanted
+//!   Lods::open_prefix  what has arrived of a file
+//! choose_level, choose_by_error, choose_by_triangles -> level(lod) -> slices
+//! layouts() -> window, trees, clusters: see those modules
+//! ```
+//! All accessors lend slices and allocate nothing, but for sections that are stored in a codec: those are decoded when they are
+//! first asked for, or all at once by [`Lods::decode`], and kept. They check bounds: a wrong number gives `None` or an empty
+//! slice, never a panic, and so does payload that nobody validated.
 //!
 //! ```no_run
-//! use kiln_runtime::{AlignedBytes, Lods, View};
-//!
+//! # #[cfg(feature = "map")]
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! let bytes = AlignedBytes::read_from(&mut std::fs::File::open("pot.kiln")?)?;
+//! use kiln_runtime::{Lods, MappedFile, View};
+//!
+//! // SAFETY: nobody writes into this file; new ones are renamed over it.
+//! let bytes = unsafe { MappedFile::open("pot.kiln")? };
 //! let lods = Lods::open(&bytes)?;
 //! let view = View { distance: 12.0, vertical_fov_radians: 0.9, viewport_height_px: 1080.0 };
 //! let level = lods.level(lods.choose_level(&view, 1.0)).ok_or("level is not at hand")?;
 //! let (positions, indices) = (level.positions(), level.indices());
 //! # let _ = (positions, indices); Ok(()) }
+//! # #[cfg(not(feature = "map"))]
+//! # fn main() {}
 //! ```
 //!
-//! **Limits.** The bytes must be in memory, on a multiple of 16 (a mapped file is; [`AlignedBytes`] is). A function that maps a
-//! file itself waits for the chapter on streaming: the standard library cannot map, and the crate has no dependency but the
-//! format.
+//! **Features.** `std` (threads, files), `codecs` (coded sections), `map` ([`MappedFile`]), all on; `gpu`. Without any the crate
+//! wants an allocator and nothing else.
+//!
+//! **Limits.** The bytes must lie on a multiple of 16 (mapped files and [`AlignedBytes`] do). Little-endian hosts only.
+
+#![cfg_attr(not(any(feature = "std", test)), no_std)]
+
+extern crate alloc;
 
 pub mod clusters;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+#[cfg(feature = "map")]
+mod map;
 mod material;
 pub mod tree;
 mod view;
 pub mod window;
 
 pub use kiln_format::{
-    AlignedBytes, Channel, DrawRange, Extra, FormatError, Indices, LevelView, Provenance, Role, Semantic,
-    TextureFormat, VertexFormat,
+    AlignedBytes, Channel, ClusterView, CompactTreeView, DrawRange, Extra, FormatError, Indices, Layouts, LevelView,
+    Provenance, Role, Semantic, TextureFormat, TreeLeafView, VertexFormat, WindowView,
 };
+#[cfg(feature = "map")]
+pub use map::MappedFile;
 pub use material::{AlphaMode, Material, Mip, Sampler, Texture, TextureUse, Wrap};
 pub use view::View;
 
 use kiln_format::{Container, record::NONE};
 
-/// A checked container.
+/// A container whose tables are sound; by [`Lods::open`] or after [`Lods::validate`] all of it is.
 pub struct Lods<'a> {
     container: Container<'a>,
 }
@@ -51,12 +73,34 @@ pub struct Submesh<'a> {
 }
 
 impl<'a> Lods<'a> {
-    /// The container in `bytes`: the whole file, on a multiple of 16. Reads every byte once.
+    /// The container in `bytes`: the whole file, on a multiple of 16. Reads and checks every byte once.
     ///
     /// # Errors
     /// The first check of the format that fails.
     pub fn open(bytes: &'a [u8]) -> Result<Lods<'a>, FormatError> {
         Ok(Lods { container: Container::open(bytes)? })
+    }
+
+    /// As [`Lods::open`], but only header and tables are read, so that the time does not depend on the file's size. What is lent
+    /// before [`Lods::validate`] may be wrong where the file is damaged: indices may be out of range for the vertices.
+    ///
+    /// # Errors
+    /// The first check of header, section table or tables that fails.
+    pub fn open_tables(bytes: &'a [u8]) -> Result<Lods<'a>, FormatError> {
+        Ok(Lods { container: Container::open_tables(bytes)? })
+    }
+
+    /// Reads and checks all payload once; coded sections are decoded and kept.
+    ///
+    /// # Errors
+    /// The first check of payload that fails.
+    pub fn validate(&self) -> Result<(), FormatError> {
+        self.container.validate()
+    }
+
+    /// Decodes all coded sections at hand, on up to `threads` threads.
+    pub fn decode(&self, threads: usize) {
+        self.container.decode(threads);
     }
 
     /// The container whose first bytes are `bytes`: levels and mips that are not whole yet are not offered.
@@ -78,8 +122,13 @@ impl<'a> Lods<'a> {
     }
 
     /// A level, 0 the finest, if it is at hand.
-    pub fn level(&self, lod: usize) -> Option<LevelView<'a>> {
+    pub fn level(&self, lod: usize) -> Option<LevelView<'_>> {
         self.container.level(lod)
+    }
+
+    /// The sliding window, trees and clusters over the finest level, as far as they are at hand.
+    pub fn layouts(&self) -> Layouts<'_> {
+        self.container.layouts()
     }
 
     /// Distance of a level to the source surface, object units.
@@ -98,11 +147,35 @@ impl<'a> Lods<'a> {
     /// A level's error in pixels is `error * View::pixels_per_unit`.
     pub fn choose_level(&self, view: &View, max_error_px: f32) -> usize {
         let scale = view.pixels_per_unit();
-        let at_hand = |lod: &usize| self.container.level(*lod).is_some();
-        let fine_enough = |lod: &usize| self.error(*lod).is_some_and(|error| error * scale <= max_error_px);
-        let mut levels = (0..self.level_count()).filter(at_hand);
-        let finest = levels.clone().next().unwrap_or(0);
-        levels.rfind(fine_enough).unwrap_or(finest)
+        self.coarsest(|lod| self.error(lod).is_some_and(|error| error * scale <= max_error_px))
+    }
+
+    /// The coarsest level at hand whose error is at most `max_error` object units; if there is none, the finest at hand (0 if
+    /// nothing is).
+    pub fn choose_by_error(&self, max_error: f32) -> usize {
+        self.coarsest(|lod| self.error(lod).is_some_and(|error| error <= max_error))
+    }
+
+    /// The finest level at hand with at most `budget` triangles; if there is none, the coarsest at hand (0 if nothing is).
+    pub fn choose_by_triangles(&self, budget: u32) -> usize {
+        let within = |lod: &usize| self.triangles(*lod).is_some_and(|triangles| triangles <= budget);
+        let coarsest = self.at_hand().next_back().unwrap_or(0);
+        self.at_hand().find(within).unwrap_or(coarsest)
+    }
+
+    /// Triangles of a level.
+    pub fn triangles(&self, lod: usize) -> Option<u32> {
+        self.container.level_records().get(lod).map(|record| record.triangles)
+    }
+
+    /// Levels at hand, finest first.
+    fn at_hand(&self) -> impl DoubleEndedIterator<Item = usize> {
+        (0..self.level_count()).filter(|lod| self.container.is_at_hand(*lod))
+    }
+
+    fn coarsest(&self, fine_enough: impl Fn(usize) -> bool) -> usize {
+        let finest = self.at_hand().next().unwrap_or(0);
+        self.at_hand().rfind(|lod| fine_enough(*lod)).unwrap_or(finest)
     }
 
     /// Number of submeshes; every level has one draw range for each.
@@ -140,14 +213,14 @@ impl<'a> Lods<'a> {
     }
 
     /// A mip of a texture, 0 the picture itself, if it is at hand.
-    pub fn mip(&self, texture: usize, mip: usize) -> Option<Mip<'a>> {
+    pub fn mip(&self, texture: usize, mip: usize) -> Option<Mip<'_>> {
         let record = self.container.mips(texture).get(mip)?;
         let texels = self.container.mip(texture, mip)?;
         Some(Mip { width: record.width, height: record.height, texels })
     }
 
     /// The largest mip at hand, with its number.
-    pub fn finest_mip(&self, texture: usize) -> Option<(usize, Mip<'a>)> {
+    pub fn finest_mip(&self, texture: usize) -> Option<(usize, Mip<'_>)> {
         (0..self.container.mips(texture).len()).find_map(|k| Some((k, self.mip(texture, k)?)))
     }
 }

@@ -17,7 +17,7 @@ impl View {
     ///
     /// Infinite at or behind the eye, and for values that make no view: then the finest level is right.
     pub fn pixels_per_unit(&self) -> f32 {
-        let span = 2.0 * self.distance * (self.vertical_fov_radians * 0.5).tan();
+        let span = 2.0 * self.distance * libm::tanf(self.vertical_fov_radians * 0.5);
         let scale = self.viewport_height_px / span;
         if span > 0.0 && scale.is_finite() && scale >= 0.0 { scale } else { f32::INFINITY }
     }
@@ -25,6 +25,6 @@ impl View {
     /// The distance from `eye` to the nearest point of a box, both in object space; 0 inside it.
     pub fn distance_to_box(eye: [f32; 3], bounds: ([f32; 3], [f32; 3])) -> f32 {
         let outside = |k: usize| (bounds.0[k] - eye[k]).max(eye[k] - bounds.1[k]).max(0.0);
-        (0..3).map(|k| outside(k) * outside(k)).sum::<f32>().sqrt()
+        libm::sqrtf((0..3).map(|k| outside(k) * outside(k)).sum::<f32>())
     }
 }

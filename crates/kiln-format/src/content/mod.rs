@@ -1,12 +1,18 @@
 //! Tables and payload: what the sections say, checked against each other.
 
+mod layouts;
+pub(crate) mod numbers;
 pub(crate) mod payload;
 
 use bytemuck::Pod;
 
-use crate::envelope::{Envelope, State, first_nonzero};
+use crate::container::Container;
+use crate::envelope::{self, Envelope, State, first_nonzero};
 use crate::error::{CheckReport, Code, FormatError};
-use crate::kind::{Channel, ErrorKind, Extra, Kind, PAYLOAD_ALIGNMENT, Role, TextureFormat, WIDE_TEXTURES, unknown};
+use crate::kind::{
+    Channel, ErrorKind, Extra, Kind, PAYLOAD_ALIGNMENT, Role, SHARED_LEVELS, TextureFormat, WIDE_TEXTURES, unknown,
+};
+use crate::prelude::*;
 use crate::provenance::{self, Provenance};
 use crate::record::*;
 
@@ -76,60 +82,131 @@ fn sum(counts: impl Iterator<Item = u32>) -> u64 {
     counts.map(u64::from).sum()
 }
 
-/// Reads and checks all tables, then all payload that is at hand. `None` if a table is broken so that nothing can be lent.
-pub(crate) fn read<'a>(envelope: &mut Envelope<'a>, whole: bool, report: &mut CheckReport) -> Option<Tables<'a>> {
-    let mut tables = read_tables(envelope, report)?;
+/// Checks all tables against each other; whether they are sound.
+pub(crate) fn check_tables(container: &Container<'_>, report: &mut CheckReport) -> bool {
     let before = report.count();
-    let check = Check { envelope, tables: &tables, strict: envelope.strict() };
+    let check = Check::new(container, &container.envelope.states);
     check.levels(report);
     check.submeshes(report);
     check.materials(report);
     check.textures(report);
     if report.count() != before {
-        return None;
+        return false;
     }
     check.needs(report);
     check.order(report);
-    if report.count() != before {
-        return None;
-    }
-    for lod in 0..tables.levels.len() {
-        let record = &tables.levels[lod];
+    check.layout_sections(report);
+    report.count() == before
+}
+
+/// What looking at every byte of the payload showed.
+pub(crate) struct Examined {
+    /// By section.
+    pub(crate) states: Vec<State>,
+    /// By level: all needed sections are at hand and sound.
+    pub(crate) offered: Vec<bool>,
+}
+
+/// Hashes and checks all payload at hand. The container's tables are sound. Without `whole`, what lies behind the end of a
+/// prefix or is damaged is no finding: it is not offered.
+pub(crate) fn examine(container: &Container<'_>, whole: bool, report: &mut CheckReport) -> Examined {
+    let envelope = &container.envelope;
+    let tables = &container.tables;
+    let mut states = hashes(container, whole, report);
+    let mut offered = vec![false; tables.levels.len()];
+    for (lod, record) in tables.levels.iter().enumerate() {
         let needs = tables.level_needs(record);
-        let at_hand = needs.iter().all(|s| envelope.states.get(*s as usize) == Some(&State::Sound));
-        // What lies behind the end of a prefix, or is damaged there, is only not offered.
+        let at_hand = needs.iter().all(|s| states.get(*s as usize) == Some(&State::Sound));
         let mut own = CheckReport::default();
         if at_hand {
-            Check { envelope, tables: &tables, strict: envelope.strict() }.geometry(lod, &mut own);
+            Check::new(container, &states).geometry(lod, &mut own);
         }
-        tables.offered[lod] = at_hand && own.is_sound();
+        offered[lod] = at_hand && own.is_sound();
         if whole {
             own.findings.into_iter().for_each(|finding| report.push(finding));
         }
     }
-    let check = Check { envelope, tables: &tables, strict: envelope.strict() };
+    let check = Check::new(container, &states);
     let mut damaged = Vec::new();
+    let mut damage = |section: u32, finding: FormatError| {
+        damaged.push(section as usize);
+        if whole {
+            report.push(finding);
+        }
+    };
     for (number, texture) in tables.textures.iter().enumerate() {
         if let Some(finding) = check.tail_padding(texture) {
-            damaged.push(texture.tail_section as usize);
-            if whole {
-                report.push(finding);
-            }
+            damage(texture.tail_section, finding);
         }
         if let Some((section, finding)) = check.texels_not_finite(number, texture) {
-            damaged.push(section as usize);
-            if whole {
-                report.push(finding);
+            damage(section, finding);
+        }
+    }
+    for kind in Kind::LAYOUTS {
+        let Some(section) = envelope.find(kind).filter(|section| states[*section as usize] == State::Sound) else {
+            continue;
+        };
+        // A layout is over level 0; without it nothing can be said, nor drawn.
+        let mut own = CheckReport::default();
+        if offered.first() == Some(&true) {
+            check.layout(kind, &mut own);
+        } else if !whole {
+            damage(section, FormatError::new(Code::Reference, "layout", "level 0", "none"));
+        }
+        own.findings.into_iter().for_each(|finding| damage(section, finding));
+    }
+    for section in damaged {
+        states[section] = State::Absent;
+    }
+    Examined { states, offered }
+}
+
+/// Padding, stored hashes and raw hashes of payload: the states of all sections.
+fn hashes(container: &Container<'_>, whole: bool, report: &mut CheckReport) -> Vec<State> {
+    let envelope = &container.envelope;
+    let mut states = envelope.states.clone();
+    for (number, entry) in envelope.entries.iter().enumerate().filter(|(_, entry)| !envelope::is_table(entry)) {
+        if let Some(finding) = envelope::wrong_padding(envelope.bytes, envelope.entries, number) {
+            report.push(finding);
+        }
+        let Some(stored) = envelope.section(number) else { continue };
+        let finding = envelope::wrong_hash(number, entry, stored).or_else(|| match states[number] {
+            State::Skipped => None,
+            _ => wrong_raw(container, number, entry),
+        });
+        match (finding, states[number]) {
+            (None, State::Skipped) => {}
+            (None, _) => states[number] = State::Sound,
+            (Some(finding), _) => {
+                states[number] = State::Absent;
+                if whole {
+                    report.push(finding);
+                }
             }
         }
     }
-    for section in damaged {
-        envelope.states[section] = State::Absent;
-    }
-    Some(tables)
+    states
 }
 
-fn read_tables<'a>(envelope: &Envelope<'a>, report: &mut CheckReport) -> Option<Tables<'a>> {
+/// What is found against the decoded bytes of a coded section.
+fn wrong_raw(container: &Container<'_>, number: usize, entry: &SectionEntry) -> Option<FormatError> {
+    if entry.codec == crate::codec::NONE {
+        return None;
+    }
+    let place = envelope::place(number, entry);
+    let Some(raw) = container.raw(number) else {
+        let codec = crate::kind::codec_name(entry.codec);
+        return Some(FormatError::new(Code::Decode, place, format!("{} bytes in {codec}", entry.raw_length), "others"));
+    };
+    let found = blake3::hash(raw);
+    (found.as_bytes() != &entry.raw_hash).then(|| {
+        let expected = blake3::Hash::from_bytes(entry.raw_hash);
+        FormatError::new(Code::RawHash, format!("{place}.raw_hash"), expected.to_hex(), found.to_hex())
+    })
+}
+
+/// Cuts all tables; `None` if one is broken so that nothing can be lent.
+pub(crate) fn read_tables<'a>(envelope: &Envelope<'a>, report: &mut CheckReport) -> Option<Tables<'a>> {
     let cutter = |kind: Kind, name| {
         let number = envelope.entries.iter().position(|entry| entry.kind == kind.0)?;
         (envelope.states[number] == State::Sound).then_some(())?;
@@ -192,7 +269,9 @@ fn read_tables<'a>(envelope: &Envelope<'a>, report: &mut CheckReport) -> Option<
         },
         None => None,
     };
-    let offered = vec![false; levels.len()];
+    let inside = |section: &u32| envelope.states.get(*section as usize).is_some_and(|state| *state != State::Absent);
+    let own = |level: &LevelRecord| slice(needs, level.first_need, level.need_count).iter().all(inside);
+    let offered = levels.iter().map(own).collect();
     let strings = strings?;
     Some(Tables {
         strings,
@@ -264,13 +343,26 @@ pub fn full_mip_count(width: u32, height: u32) -> u32 {
     32 - width.max(height).max(1).leading_zeros()
 }
 
-struct Check<'e, 'a> {
+pub(crate) struct Check<'e, 'a> {
+    container: &'e Container<'a>,
     envelope: &'e Envelope<'a>,
     tables: &'e Tables<'a>,
+    states: &'e [State],
     strict: bool,
 }
 
-impl Check<'_, '_> {
+impl<'e, 'a> Check<'e, 'a> {
+    fn new(container: &'e Container<'a>, states: &'e [State]) -> Check<'e, 'a> {
+        let (envelope, tables) = (&container.envelope, &container.tables);
+        Check { container, envelope, tables, states, strict: envelope.strict() }
+    }
+
+    /// The decoded bytes of a section that is at hand.
+    fn raw(&self, section: u32) -> Option<&'e [u8]> {
+        (*self.states.get(section as usize)? != State::Absent).then_some(())?;
+        self.container.raw(section as usize)
+    }
+
     fn is_kind(&self, section: u32, kind: Kind) -> bool {
         self.envelope.entries.get(section as usize).is_some_and(|entry| entry.kind == kind.0)
     }
@@ -458,6 +550,11 @@ impl Check<'_, '_> {
         }
     }
 
+    /// Whether levels may have the first elements of level 0's arrays.
+    fn shared_levels(&self) -> bool {
+        self.envelope.entries.iter().any(|e| e.kind == Kind::LEVELS.0 && e.version >= SHARED_LEVELS)
+    }
+
     /// Whether the texture table is of the version with deep and compressed formats and extras.
     fn wide_textures(&self) -> bool {
         self.envelope.entries.iter().any(|e| e.kind == Kind::TEXTURES.0 && e.version >= WIDE_TEXTURES)
@@ -594,6 +691,7 @@ impl Check<'_, '_> {
             }
         }
         t.textures.iter().for_each(|texture| list(texture.tail_section, false, report));
+        Kind::LAYOUTS.iter().filter_map(|kind| self.envelope.find(*kind)).for_each(|s| list(s, false, report));
         let mut large: Vec<(u64, usize, u32)> = Vec::new();
         for (number, texture) in t.textures.iter().enumerate() {
             let mips = t.texture_mips(texture);

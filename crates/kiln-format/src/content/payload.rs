@@ -1,9 +1,10 @@
 //! Vertex arrays, indices and mip tails: what the GPU reads, so that nothing in it can lead a reader astray.
 
-use super::{Check, slice};
+use super::{Check, numbers, slice};
 use crate::envelope::first_nonzero;
 use crate::error::{CheckReport, Code, FormatError};
 use crate::kind::{PAYLOAD_ALIGNMENT, Semantic, TextureFormat, VertexFormat};
+use crate::prelude::*;
 use crate::record::*;
 
 impl Check<'_, '_> {
@@ -11,22 +12,27 @@ impl Check<'_, '_> {
     pub(super) fn geometry(&self, lod: usize, report: &mut CheckReport) {
         let t = self.tables;
         let level = &t.levels[lod];
-        let sections =
-            (self.envelope.section(level.vertex_section as usize), self.envelope.section(level.index_section as usize));
-        let (Some(vertices), Some(indices)) = sections else { return };
+        let (Some(vertices), Some(indices)) = (self.raw(level.vertex_section), self.raw(level.index_section)) else {
+            return;
+        };
         let before = report.count();
-        self.arrays(lod, vertices, report);
+        if self.shares_vertices(lod) {
+            self.shared_arrays(lod, report);
+        } else {
+            self.arrays(lod, vertices, report);
+        }
         if report.count() != before {
             return;
         }
-        let length = level.triangles as usize * 3 * level.index_width as usize;
-        if indices.len() != length {
+        let length = level.triangles as u64 * 3 * level.index_width as u64;
+        if indices.len() as u64 != length {
             let at = format!("levels[{lod}].index_section");
             report.push(FormatError::new(Code::Arrays, at, format!("{length} bytes"), indices.len()));
             return;
         }
-        let positions: &[[f32; 3]] = bytemuck::try_cast_slice(&vertices[..level.vertices as usize * 12]).unwrap_or(&[]);
-        let found = box_of(positions.iter());
+        let Some(positions) = vertices.get(..level.vertices as usize * 12) else { return };
+        let positions: &[[f32; 3]] = bytemuck::try_cast_slice(positions).unwrap_or(&[]);
+        let found = numbers::box_of(positions);
         if found != (level.bounds_min, level.bounds_max) {
             let expected = format!("{found:?}");
             let stated = format!("{:?}", (level.bounds_min, level.bounds_max));
@@ -35,6 +41,33 @@ impl Check<'_, '_> {
         match level.index_width {
             2 => self.indices(lod, bytemuck::try_cast_slice::<u8, u16>(indices).unwrap_or(&[]), positions, report),
             _ => self.indices(lod, bytemuck::try_cast_slice::<u8, u32>(indices).unwrap_or(&[]), positions, report),
+        }
+    }
+
+    /// Whether a level's arrays may be the first elements of level 0's.
+    fn shares_vertices(&self, lod: usize) -> bool {
+        let t = self.tables;
+        lod > 0 && t.levels[lod].vertex_section == t.levels[0].vertex_section && self.shared_levels()
+    }
+
+    /// Level 0's arrays, cut off at the level's own vertex count. Their values and paddings are level 0's matter.
+    fn shared_arrays(&self, lod: usize, report: &mut CheckReport) {
+        let (level, finest) = (&self.tables.levels[lod], &self.tables.levels[0]);
+        let (own, whole) = (self.tables.level_arrays(level), self.tables.level_arrays(finest));
+        let fits = |own: &ArrayRecord, whole: &ArrayRecord| {
+            // An array whose format is not known here has as many bytes an element as level 0's.
+            let size = whole.length.checked_div(finest.vertices as u64).unwrap_or(0);
+            let same = (own.semantic, own.format, own.offset) == (whole.semantic, whole.format, whole.offset);
+            same && own.length == size * level.vertices as u64
+        };
+        let all = own.len() == whole.len() && own.iter().zip(whole).all(|(own, whole)| fits(own, whole));
+        if !all || level.vertices > finest.vertices {
+            let expected = format!("the first of level 0's {} vertices", finest.vertices);
+            let found = format!("{} vertices in other arrays", level.vertices);
+            report.push(FormatError::new(Code::Arrays, format!("levels[{lod}].arrays"), expected, found));
+        }
+        for (number, array) in own.iter().enumerate() {
+            self.reserved(|| format!("levels[{lod}].arrays[{number}]"), array.reserved == [0; 2], report);
         }
     }
 
@@ -73,7 +106,9 @@ impl Check<'_, '_> {
             let values = &bytes[start as usize..stop as usize];
             if semantic.is_some_and(|semantic| semantic != Semantic::Joints) {
                 let floats: &[f32] = bytemuck::try_cast_slice(values).unwrap_or(&[]);
-                self.finite(at, floats, report);
+                if let Some(i) = numbers::first_not_finite(floats) {
+                    report.push(FormatError::new(Code::NotFinite, at(), "a finite number", floats[i]));
+                }
             }
             self.reserved(at, array.reserved == [0; 2], report);
             (end, last) = (stop, array.semantic);
@@ -85,18 +120,11 @@ impl Check<'_, '_> {
         }
     }
 
-    fn indices<I: Copy + Into<u32>>(
-        &self,
-        lod: usize,
-        indices: &[I],
-        positions: &[[f32; 3]],
-        report: &mut CheckReport,
-    ) {
+    fn indices<I: numbers::Index>(&self, lod: usize, indices: &[I], positions: &[[f32; 3]], report: &mut CheckReport) {
         for (number, range) in self.tables.level_ranges(lod).iter().enumerate() {
             let at = |field: &str| format!("levels[{lod}].ranges[{number}].{field}");
             let own = slice(indices, range.first_index, range.index_count);
-            let least = own.iter().map(|i| (*i).into()).min().unwrap_or(0);
-            let count = own.iter().map(|i| (*i).into() - least).max().map_or(0, |greatest| greatest as u64 + 1);
+            let (least, count) = numbers::span(own);
             if least as u64 + count > positions.len() as u64 {
                 let expected = format!("indices below {}", positions.len());
                 report.push(FormatError::new(Code::IndexRange, at("indices"), expected, least as u64 + count - 1));
@@ -107,10 +135,14 @@ impl Check<'_, '_> {
                 let expected = format!("{count} from {least}");
                 report.push(FormatError::new(Code::IndexRange, at("first_vertex"), expected, found));
             }
+            let stated = (range.bounds_min, range.bounds_max);
+            let vertices = &positions[least as usize..(least as u64 + count) as usize];
+            if numbers::is_box_of_used(stated, vertices, own, least) {
+                continue;
+            }
             let found = box_of(own.iter().map(|i| &positions[(*i).into() as usize]));
-            if found != (range.bounds_min, range.bounds_max) {
-                let stated = format!("{:?}", (range.bounds_min, range.bounds_max));
-                report.push(FormatError::new(Code::Box, at("bounds"), format!("{found:?}"), stated));
+            if found != stated {
+                report.push(FormatError::new(Code::Box, at("bounds"), format!("{found:?}"), format!("{stated:?}")));
             }
         }
     }
@@ -126,7 +158,7 @@ impl Check<'_, '_> {
             _ => return None,
         };
         for (k, mip) in self.tables.texture_mips(texture).iter().enumerate() {
-            let Some(section) = self.envelope.section(mip.section as usize) else { continue };
+            let Some(section) = self.raw(mip.section) else { continue };
             let (start, end) = (mip.offset as usize, (mip.offset + mip.length) as usize);
             if section.get(start..end).is_some_and(|texels| !finite(texels)) {
                 let at = format!("textures[{number}].mips[{k}]");
@@ -137,7 +169,7 @@ impl Check<'_, '_> {
     }
 
     pub(super) fn tail_padding(&self, texture: &TextureRecord) -> Option<FormatError> {
-        let bytes = self.envelope.section(texture.tail_section as usize)?;
+        let bytes = self.raw(texture.tail_section)?;
         let mut end = 0;
         for mip in &self.tables.texture_mips(texture)[texture.tail_first as usize..] {
             let start = mip.offset as usize;
@@ -156,6 +188,6 @@ impl Check<'_, '_> {
 pub(crate) fn box_of<'p>(mut positions: impl Iterator<Item = &'p [f32; 3]>) -> ([f32; 3], [f32; 3]) {
     let Some(first) = positions.next() else { return ([0.0; 3], [0.0; 3]) };
     positions.fold((*first, *first), |(lo, hi), p| {
-        (std::array::from_fn(|k| lo[k].min(p[k])), std::array::from_fn(|k| hi[k].max(p[k])))
+        (core::array::from_fn(|k| lo[k].min(p[k])), core::array::from_fn(|k| hi[k].max(p[k])))
     })
 }

@@ -1,7 +1,9 @@
 //! Every prefix, every flipped byte: found, refused, never a panic.
 
+use crate::prelude::*;
+use super::layered::{layered, lent};
 use super::model::tiny;
-use crate::{AlignedBytes, Code, Container, check, write};
+use crate::{AlignedBytes, Code, Container, Kind, Packing, check, write};
 
 #[test]
 fn every_prefix_is_refused_and_found() {
@@ -103,4 +105,96 @@ fn bytes_that_are_not_aligned_are_refused_by_open_and_copied_by_check() {
     shifted.as_mut_slice()[1..].copy_from_slice(&bytes);
     assert_eq!(Container::open(&shifted[1..]).err().map(|e| e.code), Some(Code::Unaligned));
     assert!(check(&shifted[1..]).is_sound());
+}
+
+/// Layouts, shared vertices and codecs.
+fn newest() -> Vec<AlignedBytes> {
+    let model = layered();
+    let packings = [Packing::Raw, Packing::Meshopt, Packing::Zstd];
+    packings.iter().map(|packing| AlignedBytes::copy_of(&model.bytes(*packing))).collect()
+}
+
+#[test]
+fn every_prefix_of_the_newest_containers_is_refused_and_what_it_offers_is_right() {
+    for bytes in newest() {
+        let sound = Container::open(&bytes).expect("sound");
+        let all = lent(&sound);
+        let tables = sound.sections().find(|s| s.kind == Kind::VERTICES).expect("there").entry.offset as usize;
+        for end in (0..bytes.len()).filter(|end| *end > tables || end % 7 == 0) {
+            assert!(Container::open(&bytes[..end]).is_err(), "prefix of {end} bytes was opened");
+            assert!(Container::open_tables(&bytes[..end]).is_err(), "prefix of {end} bytes was opened");
+            if let Ok(container) = Container::open_prefix(&bytes[..end]) {
+                assert!(lent(&container).iter().all(|own| all.contains(own)), "prefix of {end} bytes offers something else");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_flipped_byte_of_the_newest_containers_is_refused_and_found() {
+    for mut bytes in newest() {
+        for at in 0..bytes.len() {
+            let mask = [1, 0x80, 0x24, 0xFF][at % 4];
+            bytes.as_mut_slice()[at] ^= mask;
+            assert!(Container::open(&bytes).is_err(), "byte {at} ^ {mask:#x} was opened");
+            // Nobody looked at the payload: wrong, perhaps, but nothing falls over.
+            if let Ok(container) = Container::open_tables(&bytes) {
+                lent(&container);
+                assert!(container.validate().is_err(), "byte {at} ^ {mask:#x} was found valid");
+            }
+            bytes.as_mut_slice()[at] ^= mask;
+        }
+        assert!(check(&bytes).is_sound());
+    }
+}
+
+#[test]
+fn every_flipped_byte_of_the_newest_containers_under_right_hashes_is_harmless() {
+    for sound in newest() {
+        let mut opened = 0;
+        for at in (0..sound.len()).filter(|at| *at >= 96) {
+            let mut bytes = sound.clone();
+            bytes.as_mut_slice()[at] ^= [1, 0x80, 0xFF][at % 3];
+            super::rules::rehash(bytes.as_mut_slice());
+            let report = check(&bytes);
+            let open = Container::open(&bytes);
+            assert_eq!(report.is_sound(), open.is_ok());
+            if let Ok(container) = Container::open_prefix(&bytes) {
+                lent(&container);
+            }
+            let Ok(container) = open else { continue };
+            opened += 1;
+            lent(&container);
+            promises(&container);
+        }
+        assert!(opened > 100, "only {opened} flips kept a sound container: the test has lost its object");
+    }
+}
+
+/// What drawing code relies on.
+fn promises(container: &Container<'_>) {
+    let layouts = container.layouts();
+    let Some(level) = container.level(0) else { return };
+    let vertices = level.positions().len();
+    if let Some(window) = layouts.window {
+        assert_eq!(window.parents.len(), vertices);
+        assert!(window.parents.iter().enumerate().all(|(v, parent)| *parent as usize <= v));
+    }
+    if let Some(tree) = layouts.tree_leaf {
+        assert!(tree.leaf.iter().all(|leaf| (leaf[3] as usize) < tree.tree.len()));
+    }
+    if let Some(tree) = layouts.compact_tree {
+        assert!(tree.terminals.iter().all(|n| (*n as usize) < tree.nodes.len()));
+        assert!(tree.nodes.iter().enumerate().all(|(n, node)| n == 0 || (node.parent as usize) < n));
+    }
+    if let Some(dag) = layouts.clusters {
+        for cluster in dag.clusters {
+            let first = cluster.first_reference as usize;
+            let own = &dag.references[first..first + cluster.vertex_count as usize];
+            assert!(own.iter().all(|v| (*v as usize) < vertices));
+            let first = cluster.first_triangle as usize * 3;
+            let corners = &dag.corners[first..first + cluster.triangle_count as usize * 3];
+            assert!(corners.iter().all(|corner| (*corner as usize) < own.len()));
+        }
+    }
 }

@@ -1,6 +1,8 @@
 //! Damage, versions and canonical bytes on containers small enough to try everything.
 
+use crate::prelude::*;
 mod damage;
+mod layered;
 mod model;
 mod rules;
 mod specification;

@@ -1,6 +1,7 @@
 //! A model of two levels, two submeshes and one texture, as plain data that tests may spoil.
 
-use std::borrow::Cow;
+use crate::prelude::*;
+use alloc::borrow::Cow;
 
 use bytemuck::{Zeroable, cast_slice};
 
@@ -90,6 +91,7 @@ impl Model {
                 stages: vec![("simplify".into(), "1".into())],
             }),
             private: self.private.clone(),
+            ..Content::default()
         }
     }
 }
@@ -102,6 +104,7 @@ impl ModelLevel {
             arrays: vec![(Semantic::Positions, cast_slice(&self.positions)), (Semantic::Uv0, cast_slice(&self.uv0))],
             indices: &self.indices,
             index_counts: self.counts.to_vec(),
+            shares_vertices: false,
         }
     }
 }

@@ -1,5 +1,6 @@
 //! One crafted file a rule.
 
+use crate::prelude::*;
 use bytemuck::{Pod, bytes_of, pod_read_unaligned};
 
 use super::model::tiny;
@@ -14,10 +15,28 @@ pub(super) fn rehash(bytes: &mut [u8]) {
         let end = entry.offset.checked_add(entry.stored_length).map(|end| end as usize);
         let Some(own) = end.and_then(|end| bytes.get(entry.offset as usize..end)) else { continue };
         entry.stored_hash = *blake3::hash(own).as_bytes();
-        entry.raw_hash = entry.stored_hash;
+        if entry.codec == 0 {
+            entry.raw_hash = entry.stored_hash;
+        }
         put(bytes, HEADER_SIZE + number * ENTRY_SIZE, &entry);
     }
     seal(bytes);
+    rehash_coded(bytes);
+}
+
+/// Those of decoded bytes, where there are any.
+fn rehash_coded(bytes: &mut [u8]) {
+    let aligned = AlignedBytes::copy_of(bytes);
+    let Ok(container) = Container::open_tables(&aligned) else { return };
+    let coded: Vec<_> = container.sections().filter(|s| s.entry.codec != 0).collect();
+    for section in &coded {
+        let Some(raw) = container.raw_bytes(section.number) else { continue };
+        let raw_hash = *blake3::hash(raw).as_bytes();
+        put(bytes, HEADER_SIZE + section.number as usize * ENTRY_SIZE, &SectionEntry { raw_hash, ..*section.entry });
+    }
+    if !coded.is_empty() {
+        seal(bytes);
+    }
 }
 
 fn section_count(bytes: &[u8]) -> usize {
@@ -34,7 +53,7 @@ fn put<T: Pod>(bytes: &mut [u8], at: usize, value: &T) {
     bytes[at..at + size_of::<T>()].copy_from_slice(bytes_of(value));
 }
 
-fn offset_of(bytes: &[u8], kind: Kind) -> usize {
+pub(super) fn offset_of(bytes: &[u8], kind: Kind) -> usize {
     (0..section_count(bytes)).map(|n| entry(bytes, n)).find(|e| e.kind == kind.0).expect("is there").offset as usize
 }
 
@@ -103,7 +122,7 @@ fn a_newer_major_is_refused_with_both_numbers() {
     rehash(&mut bytes);
     let finding = Container::open(&AlignedBytes::copy_of(&bytes)).err().expect("refused");
     assert_eq!(finding.code, Code::Major);
-    assert!(finding.to_string().contains("1.1") && finding.to_string().contains("2.3"), "{finding}");
+    assert!(finding.to_string().contains("1.2") && finding.to_string().contains("2.3"), "{finding}");
 }
 
 #[test]
@@ -129,7 +148,7 @@ fn an_unknown_required_section_is_refused_by_name() {
 
 #[test]
 fn a_newer_version_of_a_required_section_is_refused_and_of_an_optional_one_skipped() {
-    assert_eq!(codes_after(|b| edit_entry(b, 1, |e| e.version = 2)), [Code::SectionVersion]);
+    assert_eq!(codes_after(|b| edit_entry(b, 1, |e| e.version = 3)), [Code::SectionVersion]);
     // A table that claims to be optional is still one that cannot be skipped.
     assert_eq!(codes_after(|b| edit_entry(b, 4, |e| (e.version, e.flags) = (3, 0))), [Code::SectionVersion]);
     let mut bytes = write(&tiny().content()).expect("valid");
@@ -162,7 +181,11 @@ fn entry_rules() {
     has(Code::Kind, &|e| e.kind = *b"\0\0\0\0", 6);
     has(Code::Flags, &|e| e.flags = 0, 6);
     has(Code::Flags, &|e| e.flags = 3, 6);
-    has(Code::Codec, &|e| e.codec = 1, 6);
+    has(Code::Codec, &|e| e.codec = 2, 6);
+    has(Code::Codec, &|e| e.codec = 4, 6);
+    has(Code::Codec, &|e| e.codec = 1, 2);
+    has(Code::Decode, &|e| e.codec = 1, 6);
+    has(Code::RawLength, &|e| (e.codec, e.raw_length) = (1, e.stored_length * 1024 + 1), 6);
     has(Code::Alignment, &|e| e.alignment = 16, 6);
     has(Code::Alignment, &|e| e.alignment = 4096, 6);
     has(Code::Misaligned, &|e| e.offset += 1, 6);

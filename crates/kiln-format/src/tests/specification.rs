@@ -1,5 +1,6 @@
 //! The specification and the code name the same checks, kinds, codecs and sizes.
 
+use crate::prelude::*;
 use crate::Code;
 use crate::kind::{CODECS, KINDS};
 use crate::{Extra, TextureFormat};

@@ -1,6 +1,7 @@
 //! What came with version 1.1: deep and block-compressed textures, extra pictures, layouts of several sheets.
 
-use std::borrow::Cow;
+use crate::prelude::*;
+use alloc::borrow::Cow;
 
 use super::model::{Model, tiny};
 use super::rules::{codes_of, edit, edit_entry, edit_header, rehash};

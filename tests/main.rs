@@ -20,5 +20,6 @@ mod goldens;
 mod init;
 mod parts;
 mod pipelines;
+mod readers;
 mod rebuild;
 mod why;

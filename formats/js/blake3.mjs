@@ -26,15 +26,19 @@ const SCHEDULE = (() => {
 const state = new Int32Array(16);
 const message = new Int32Array(16);
 
-function mix(a, b, c, d, x, y) {
-  let [va, vb, vc, vd] = [state[a], state[b], state[c], state[d]];
-  va = (va + vb + x) | 0;
+/** Mixes words `a` to `d` of the state with the message words that the schedule has at `k` and `k + 1`. */
+function mix(a, b, c, d, k) {
+  let va = state[a];
+  let vb = state[b];
+  let vc = state[c];
+  let vd = state[d];
+  va = (va + vb + message[SCHEDULE[k]]) | 0;
   vd ^= va;
   vd = (vd >>> 16) | (vd << 16);
   vc = (vc + vd) | 0;
   vb ^= vc;
   vb = (vb >>> 12) | (vb << 20);
-  va = (va + vb + y) | 0;
+  va = (va + vb + message[SCHEDULE[k + 1]]) | 0;
   vd ^= va;
   vd = (vd >>> 8) | (vd << 24);
   vc = (vc + vd) | 0;
@@ -48,22 +52,21 @@ function mix(a, b, c, d, x, y) {
 
 /** Replaces the chaining value `cv` by that of `message` behind it. */
 function compress(cv, counter, length, flags) {
-  state.set(cv);
-  state.set(IV.subarray(0, 4), 8);
+  for (let k = 0; k < 8; k++) state[k] = cv[k];
+  for (let k = 0; k < 4; k++) state[8 + k] = IV[k];
   state[12] = counter | 0;
   state[13] = Math.floor(counter / 2 ** 32);
   state[14] = length;
   state[15] = flags;
   for (let at = 0; at < SCHEDULE.length; at += 16) {
-    const word = (k) => message[SCHEDULE[at + k]];
-    mix(0, 4, 8, 12, word(0), word(1));
-    mix(1, 5, 9, 13, word(2), word(3));
-    mix(2, 6, 10, 14, word(4), word(5));
-    mix(3, 7, 11, 15, word(6), word(7));
-    mix(0, 5, 10, 15, word(8), word(9));
-    mix(1, 6, 11, 12, word(10), word(11));
-    mix(2, 7, 8, 13, word(12), word(13));
-    mix(3, 4, 9, 14, word(14), word(15));
+    mix(0, 4, 8, 12, at);
+    mix(1, 5, 9, 13, at + 2);
+    mix(2, 6, 10, 14, at + 4);
+    mix(3, 7, 11, 15, at + 6);
+    mix(0, 5, 10, 15, at + 8);
+    mix(1, 6, 11, 12, at + 10);
+    mix(2, 7, 8, 13, at + 12);
+    mix(3, 4, 9, 14, at + 14);
   }
   for (let k = 0; k < 8; k++) cv[k] = state[k] ^ state[k + 8];
 }
@@ -74,8 +77,11 @@ function chunk(bytes, start, end, counter, root) {
   let at = start;
   do {
     const length = Math.min(BLOCK, end - at);
-    message.fill(0);
-    for (let k = 0; k < length; k++) message[k >> 2] |= bytes[at + k] << ((k & 3) * 8);
+    if (length < BLOCK) message.fill(0);
+    for (let k = 0, i = at; k < length >> 2; k++, i += 4) {
+      message[k] = bytes[i] | (bytes[i + 1] << 8) | (bytes[i + 2] << 16) | (bytes[i + 3] << 24);
+    }
+    for (let k = length & ~3; k < length; k++) message[k >> 2] |= bytes[at + k] << ((k & 3) * 8);
     const last = at + length === end;
     compress(cv, counter, length, (at === start && CHUNK_START) | (last && CHUNK_END | root));
     at += length;

@@ -1,7 +1,7 @@
 // The envelope: header, section table, and how sections tile the file. Nothing here knows what is inside a section.
 
 import { blake3, hex } from "./blake3.mjs";
-import { check, isKnown, record, readRecord, align, KilnError } from "./records.mjs";
+import { KilnError, align, check, fail, isKnown, isSame, readRecord, record } from "./records.mjs";
 import { KINDS, MINOR, PAYLOAD_RANK, codecName } from "./registry.mjs";
 
 const MAGIC = [0x89, 0x4b, 0x4c, 0x4e, 0x0d, 0x0a, 0x1a, 0x0a];
@@ -34,7 +34,7 @@ export const placeOf = (section) => `section ${section.number} (${section.kind})
 
 /** Bytes start..end must be zero. */
 export function checkZero(bytes, start, end, place) {
-  for (let at = start; at < end; at++) check(bytes[at] === 0, "K211", place, "zero", `${bytes[at]} at offset ${at}`);
+  for (let at = start; at < end; at++) if (bytes[at] !== 0) fail("K211", place, "zero", `${bytes[at]} at byte ${at}`);
 }
 
 /**
@@ -51,8 +51,8 @@ export function readEnvelope(bytes, prefix) {
   const hashed = new Uint8Array(64 + end - HEADER.size);
   hashed.set(bytes.subarray(0, 64));
   hashed.set(bytes.subarray(HEADER.size, end), 64);
-  const [expected, found] = [hex(header.hash), hex(blake3(hashed))];
-  check(expected === found, "K109", "header.hash", expected, found);
+  const found = blake3(hashed);
+  if (!isSame(found, header.hash)) throw new KilnError("K109", "header.hash", hex(header.hash), hex(found));
 
   const strict = isKnown(header.minor);
   const sections = Array.from({ length: header.sectionCount }, (_, number) =>
@@ -76,7 +76,6 @@ function readHeader(bytes, view, prefix) {
   check(header.tableOffset === HEADER.size, "K106", "header.table_offset", HEADER.size, header.tableOffset);
   const room = Math.max(0, Math.min(Math.floor((header.fileLength - HEADER.size) / ENTRY.size), 1 << 20));
   check(header.sectionCount <= room, "K107", "header.section_count", `at most ${room}`, header.sectionCount);
-  header.hash = Uint8Array.from(header.hash);
   return header;
 }
 
@@ -84,31 +83,27 @@ function readHeader(bytes, view, prefix) {
 function readEntry(view, at, number, strict) {
   const kind = String.fromCharCode(...new Uint8Array(view.buffer, view.byteOffset + at, 4));
   const section = { number, kind };
-  const entry = readRecord(ENTRY, view, at, strict, () => placeOf(section));
-  const fail = (code, field, expected, found) => new KilnError(code, `${placeOf(section)}.${field}`, expected, found);
-  if (!/^[A-Za-z][A-Za-z0-9]{3}$/.test(kind)) throw fail("K201", "kind", "four ASCII letters or digits", JSON.stringify(kind));
-  if (entry.flags > 1) throw fail("K204", "flags", "bit 0 only", entry.flags);
-  const required = entry.flags === 1;
+  const { flags, ...entry } = readRecord(ENTRY, view, at, strict, () => placeOf(section));
+  const wrong = (code, field, expected, found) => new KilnError(code, `${placeOf(section)}.${field}`, expected, found);
+  if (!/^[A-Za-z][A-Za-z0-9]{3}$/.test(kind)) throw wrong("K201", "kind", "four ASCII letters or digits", JSON.stringify(kind));
+  if (flags > 1) throw wrong("K204", "flags", "bit 0 only", flags);
+  const required = flags === 1;
   const row = Object.hasOwn(KINDS, kind) ? KINDS[kind] : undefined;
   const known = row !== undefined && entry.version >= 1 && entry.version <= row.version;
   if (known) {
-    if (required !== row.required) throw fail("K204", "flags", `required = ${row.required}`, required);
-    if (entry.alignment !== row.alignment) throw fail("K206", "alignment", row.alignment, entry.alignment);
+    if (required !== row.required) throw wrong("K204", "flags", `required = ${row.required}`, required);
+    if (entry.alignment !== row.alignment) throw wrong("K206", "alignment", row.alignment, entry.alignment);
   } else if (row ? required || row.required : required) {
-    if (row) throw fail("K203", "version", `version 1 to ${row.version} of ${kind}`, entry.version);
-    throw fail("K202", "kind", "a kind that this reader knows", `required section ${kind} version ${entry.version}`);
+    if (row) throw wrong("K203", "version", `version 1 to ${row.version} of ${kind}`, entry.version);
+    throw wrong("K202", "kind", "a kind that this reader knows", `required section ${kind} version ${entry.version}`);
   }
-  if (entry.alignment !== 16 && entry.alignment !== 256) throw fail("K206", "alignment", "16 or 256", entry.alignment);
-  if (known && row.rank < PAYLOAD_RANK && entry.codec !== 0) throw fail("K205", "codec", "none", codecName(entry.codec));
+  if (entry.alignment !== 16 && entry.alignment !== 256) throw wrong("K206", "alignment", "16 or 256", entry.alignment);
+  if (known && row.rank < PAYLOAD_RANK && entry.codec !== 0) throw wrong("K205", "codec", "none", codecName(entry.codec));
   if (entry.codec === 0) {
-    if (entry.rawLength !== entry.storedLength) throw fail("K213", "raw_length", entry.storedLength, entry.rawLength);
-    if (entry.rawHash.some((byte, i) => byte !== entry.storedHash[i])) throw fail("K215", "raw_hash", "the stored hash", "another");
+    if (entry.rawLength !== entry.storedLength) throw wrong("K213", "raw_length", entry.storedLength, entry.rawLength);
+    if (!isSame(entry.rawHash, entry.storedHash)) throw wrong("K215", "raw_hash", "the stored hash", "another");
   }
-  delete entry.flags;
-  return {
-    ...entry, ...section, required, known, codecName: codecName(entry.codec),
-    storedHash: Uint8Array.from(entry.storedHash), rawHash: Uint8Array.from(entry.rawHash),
-  };
+  return { ...entry, ...section, required, known, codecName: codecName(entry.codec) };
 }
 
 /** Sections stand one behind the other from `end` to the end of the file, with zeros between them. */

@@ -9,7 +9,7 @@
 import { blake3, hex } from "./blake3.mjs";
 import { checkZero, placeOf, readEnvelope } from "./envelope.mjs";
 import { readClusters, readCompactTree, readTreeLeaf, readWindow } from "./layouts.mjs";
-import { check, isKnown } from "./records.mjs";
+import { KilnError, check, isKnown, isSame } from "./records.mjs";
 import { SEMANTICS, TEXTURE_FORMATS, VERTEX_FORMATS } from "./registry.mjs";
 import { readTables } from "./tables.mjs";
 import { chooseByPixels } from "./view.mjs";
@@ -213,8 +213,8 @@ export class Container {
       this.#checked(section);
       if (!section.known) continue;
       if (section.codec !== 0) {
-        const found = hex(blake3(this.sectionBytes(section.number)));
-        check(found === hex(section.rawHash), "K215", `${placeOf(section)}.raw_hash`, hex(section.rawHash), found);
+        const found = blake3(this.sectionBytes(section.number));
+        if (!isSame(found, section.rawHash)) throw new KilnError("K215", `${placeOf(section)}.raw_hash`, hex(section.rawHash), hex(found));
       }
     }
     for (const level of this.levels) if (this.isAtHand(level.lod)) this.#checkGeometry(level);
@@ -225,7 +225,7 @@ export class Container {
   #isSound(section) {
     const key = `sound ${section.number}`;
     if (!this.#decoded.has(key)) {
-      this.#decoded.set(key, hex(blake3(this.storedBytes(section.number))) === hex(section.storedHash));
+      this.#decoded.set(key, isSame(blake3(this.storedBytes(section.number)), section.storedHash));
     }
     return this.#decoded.get(key);
   }
@@ -233,8 +233,8 @@ export class Container {
   /** The stored bytes of a section whose hash agrees. */
   #checked(section) {
     const bytes = this.storedBytes(section.number);
-    const [expected, found] = [hex(section.storedHash), hex(blake3(bytes))];
-    check(expected === found, "K214", `${placeOf(section)}.stored_hash`, expected, found);
+    const found = blake3(bytes);
+    if (!isSame(found, section.storedHash)) throw new KilnError("K214", `${placeOf(section)}.stored_hash`, hex(section.storedHash), hex(found));
     return bytes;
   }
 

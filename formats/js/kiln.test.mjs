@@ -58,20 +58,18 @@ test("a flipped byte under right hashes is an error or lends what lies inside", 
   const files = [everything(), assemble([...small(TREE_INDICES), TREE, LEAF, COMPACT])];
   for (const file of files) {
     for (let at = 0; at < file.length; at++) {
-      for (const flip of [1, 0x80, 0xff]) {
-        const bad = file.slice();
-        bad[at] ^= flip;
-        try {
-          const container = openContainer(rehashed(bad));
-          summary(container);
-          container.validate();
-          for (let lod = 0; lod < container.levels.length; lod++) {
-            const { indices, positions } = container.level(lod);
-            assert.ok(indices.every((i) => 3 * i < positions.length), `byte ${at}`);
-          }
-        } catch (error) {
-          assert.ok(error instanceof KilnError, `byte ${at}: ${error.stack}`);
+      const bad = file.slice();
+      bad[at] ^= [0xff, 1, 0x80][at % 3];
+      try {
+        const container = openContainer(rehashed(bad));
+        summary(container);
+        container.validate();
+        for (let lod = 0; lod < container.levels.length; lod++) {
+          const { indices, positions } = container.level(lod);
+          assert.ok(indices.every((i) => 3 * i < positions.length), `byte ${at}`);
         }
+      } catch (error) {
+        assert.ok(error instanceof KilnError, `byte ${at}: ${error.stack}`);
       }
     }
   }

@@ -7,7 +7,8 @@
 //
 // Reading a view checks what picking relies on (counts, lengths, order of parents, pointers), once; picking then ends.
 
-import { align, check, record, readRecord } from "./records.mjs";
+import { checkZero } from "./envelope.mjs";
+import { align, check, fail, record, readRecord } from "./records.mjs";
 import { NONE } from "./registry.mjs";
 
 const WINDOW = record(
@@ -106,7 +107,7 @@ class Slicer {
     const start = align(this.at, alignment);
     const end = start + count * type.BYTES_PER_ELEMENT;
     check(end <= this.bytes.length, "K317", this.name, `at least ${end} bytes`, this.bytes.length);
-    for (let i = this.at; i < start; i++) check(this.bytes[i] === 0, "K211", this.name, "zeros between arrays", `${this.bytes[i]} at byte ${i}`);
+    checkZero(this.bytes, this.at, start, this.name);
     this.at = end;
     return new type(this.bytes.buffer, this.bytes.byteOffset + start, count);
   }
@@ -140,7 +141,7 @@ class Slicer {
 }
 
 function checkFinite(floats, place) {
-  for (let i = 0; i < floats.length; i++) check(Number.isFinite(floats[i]), "K306", place, "finite numbers", `${floats[i]} at ${i}`);
+  for (let i = 0; i < floats.length; i++) if (!Number.isFinite(floats[i])) fail("K306", place, "finite numbers", `${floats[i]} at ${i}`);
 }
 
 function checkCount(found, expected, place) {
@@ -184,7 +185,7 @@ function checkPoints(window) {
       if (v >= baseVertices) points += 1;
     }
     const holds = v < baseVertices ? parents[v] === v : parents[v] < own;
-    check(holds, "K321", () => `WNDW.parents[${v}]`, v < baseVertices ? v : `below ${own}`, parents[v]);
+    if (!holds) fail("K321", `WNDW.parents[${v}]`, v < baseVertices ? v : `below ${own}`, parents[v]);
   }
   check(points === collapses, "K320", "WNDW.collapses", `${points} points behind the base`, collapses);
 }
@@ -300,8 +301,8 @@ export function readTreeLeaf(treeBytes, leafBytes, base) {
   for (let v = 0; v < view.vertices; v++) {
     const texel = leaf[4 * v + 3];
     const column = Math.floor(texel / (width * view.rows)) * width + (texel % width);
-    check(Number.isInteger(texel) && texel >= 0 && texel < texels && column < columns,
-      "K325", () => `LEAF[${v}]`, `a texel of ${columns} columns`, texel);
+    const holds = Number.isInteger(texel) && texel >= 0 && texel < texels && column < columns;
+    if (!holds) fail("K325", `LEAF[${v}]`, `a texel of ${columns} columns`, texel);
   }
   return { ...view, columns, width, tree, leaf };
 }
@@ -350,10 +351,14 @@ export function readCompactTree(bytes, base) {
   slicer.finish();
   for (let node = 0; node < view.nodes; node++) {
     const parent = parents[4 * node + 3];
-    check(node === 0 ? parent === 0 : parent < node, "K323", () => `CTRE.nodes[${node}].parent`, `below ${node}`, parent);
-    checkFinite(positions.subarray(4 * node, 4 * node + 3), () => `CTRE.nodes[${node}]`);
+    if (node === 0 ? parent !== 0 : parent >= node) fail("K323", `CTRE.nodes[${node}].parent`, `below ${node}`, parent);
+    for (let k = 0; k < 3; k++) {
+      const x = positions[4 * node + k];
+      if (!Number.isFinite(x)) fail("K306", `CTRE.nodes[${node}]`, "finite numbers", x);
+    }
   }
-  terminals.forEach((node, v) => check(node < view.nodes, "K325", () => `CTRE.terminals[${v}]`, `below ${view.nodes}`, node));
+  const astray = terminals.findIndex((node) => node >= view.nodes);
+  check(astray < 0, "K325", `CTRE.terminals[${astray}]`, `below ${view.nodes}`, terminals[astray]);
   return { ...view, positions, parents, terminals };
 }
 
@@ -400,36 +405,41 @@ function checkGroups({ clusterCount, groupCount, levels, groups, groupWords }) {
     const [first, count, own] = groupWords.subarray(8 * g + 5, 8 * g + 8);
     const at = () => `CLUS.groups[${g}]`;
     checkFinite(groups.subarray(8 * g, 8 * g + 5), at);
-    check(first === next && count >= 1 && own >= level && own < levels, "K327", at, `clusters from ${next}, by level`, `${count} from ${first}`);
-    check(groups[8 * g + 4] >= 0, "K330", at, "an error of 0 or more", groups[8 * g + 4]);
+    const holds = first === next && count >= 1 && own >= level && own < levels;
+    if (!holds) fail("K327", at, `clusters from ${next}, by level`, `${count} from ${first}`);
+    if (!(groups[8 * g + 4] >= 0)) fail("K330", at, "an error of 0 or more", groups[8 * g + 4]);
     [next, level] = [first + count, own];
   }
   check(next === clusterCount, "K327", "CLUS.groups", `${clusterCount} clusters in all`, next);
 }
 
-function checkClusters({ clusterCount, groups, groupWords, clusters, clusterFloats, references, corners, triangles, vertices }, submeshes) {
+function checkClusters(view, submeshes) {
+  const { clusterCount, groups, groupWords, clusters, clusterFloats, references, corners, triangles, vertices } = view;
   let [reference, triangle, inGroup] = [0, 0, 0];
   for (let c = 0; c < clusterCount; c++) {
     const [firstReference, count, firstTriangle, own, submesh, group, madeBy, level] = clusters.subarray(16 * c, 16 * c + 8);
     const at = () => `CLUS.clusters[${c}]`;
     checkFinite(clusterFloats.subarray(16 * c + 8, 16 * c + 16), at);
-    check(firstReference === reference && firstTriangle === triangle && count >= 1 && count <= 256 && own >= 1 && own <= 128
-      && reference + count <= references.length && triangle + own <= triangles,
-      "K327", at, `1 to 256 vertices from ${reference}, 1 to 128 triangles from ${triangle}`, `${count} from ${firstReference}, ${own} from ${firstTriangle}`);
-    check(submesh < submeshes, "K328", at, `a submesh below ${submeshes}`, submesh);
+    const isInside = firstReference === reference && count >= 1 && count <= 256 && reference + count <= references.length
+      && firstTriangle === triangle && own >= 1 && own <= 128 && triangle + own <= triangles;
+    if (!isInside) fail("K327", at, `1 to 256 vertices from ${reference}, 1 to 128 triangles from ${triangle}`, `${count} and ${own}`);
+    if (submesh >= submeshes) fail("K328", at, `a submesh below ${submeshes}`, submesh);
     while (c >= groupWords[8 * inGroup + 5] + groupWords[8 * inGroup + 6]) inGroup += 1;
-    const made = level === 0 ? madeBy === NONE : madeBy < group;
-    check(group === inGroup && level === groupWords[8 * group + 7] && made, "K329", at, `group ${inGroup} and its level`, `group ${group}, level ${level}, made by ${madeBy}`);
-    check(level === 0 || groups[8 * madeBy + 4] <= groups[8 * group + 4], "K330", at, "an error not below that of the group that made it", "less");
+    const isMade = level === 0 ? madeBy === NONE : madeBy < group;
+    if (group !== inGroup || level !== groupWords[8 * group + 7] || !isMade) {
+      fail("K329", at, `group ${inGroup} and its level`, `group ${group}, level ${level}, made by ${madeBy}`);
+    }
+    if (level > 0 && groups[8 * madeBy + 4] > groups[8 * group + 4]) fail("K330", at, "an error not below its maker's", "less");
     for (let i = reference; i < reference + count; i++) {
-      check(references[i] < vertices, "K328", at, `references below ${vertices}`, references[i]);
+      if (references[i] >= vertices) fail("K328", at, `references below ${vertices}`, references[i]);
     }
     for (let i = 3 * triangle; i < 3 * (triangle + own); i++) {
-      check(corners[i] < count, "K328", at, `corners below ${count}`, corners[i]);
+      if (corners[i] >= count) fail("K328", at, `corners below ${count}`, corners[i]);
     }
     [reference, triangle] = [reference + count, triangle + own];
   }
-  check(reference === references.length && triangle === triangles, "K327", "CLUS", `${reference} references and ${triangle} triangles`, `${references.length} and ${triangles}`);
+  const isAll = reference === references.length && triangle === triangles;
+  check(isAll, "K327", "CLUS", `${reference} references and ${triangle} triangles`, `${references.length} and ${triangles}`);
 }
 
 /**

@@ -20,9 +20,14 @@ export class KilnError extends Error {
   }
 }
 
-/** Throws a {@link KilnError} unless `holds`. */
+/** Throws a {@link KilnError}. */
+export function fail(code, place, expected, found) {
+  throw new KilnError(code, typeof place === "function" ? place() : place, expected, found);
+}
+
+/** Throws a {@link KilnError} unless `holds`. Loops over payload call {@link fail} instead, so that no words are made in vain. */
 export function check(holds, code, place, expected, found) {
-  if (!holds) throw new KilnError(code, typeof place === "function" ? place() : place, expected, found);
+  if (!holds) fail(code, place, expected, found);
 }
 
 /** Least multiple of `a` not below `x`. */
@@ -40,8 +45,8 @@ const TYPES = {
 };
 
 /**
- * A record of a table. `text` lists fields as `name type` or `name typexN`, separated by commas; fields called `reserved` must be
- * zero in files whose minor version is known, and are not kept.
+ * A record of a table. `text` lists fields as `name type` or `name typexN`, separated by commas; bytes (`u8xN`) are lent, other
+ * lists are copied. Fields called `reserved` must be zero in files whose minor version is known, and are not kept.
  */
 export function record(text) {
   let size = 0;
@@ -50,7 +55,7 @@ export function record(text) {
     const [bytes, read] = TYPES[type];
     const at = size;
     size += bytes * Number(times ?? 1);
-    return { name, at, bytes, read, times: times && Number(times), isFloat: type === "f32" };
+    return { name, at, bytes, read, times: times && Number(times), isFloat: type === "f32", isBytes: type === "u8" && times };
   });
   return { size, fields };
 }
@@ -59,20 +64,30 @@ export function record(text) {
 export function readRecord(type, view, at, strict, place) {
   const out = {};
   for (const field of type.fields) {
-    const one = (k) => field.read(view, at + field.at + k * field.bytes);
-    const value = field.times === undefined ? one(0) : Array.from({ length: field.times }, (_, k) => one(k));
-    const values = field.times === undefined ? [value] : value;
+    const value = readField(field, view, at + field.at);
     if (field.name === "reserved") {
-      check(!strict || values.every((x) => x === 0), "K108", () => `${place()}.reserved`, "zero", "another value");
+      check(!strict || value.every((x) => x === 0), "K108", () => `${place()}.reserved`, "zero", "another value");
       continue;
     }
     if (field.isFloat) {
-      check(values.every(Number.isFinite), "K306", () => `${place()}.${field.name}`, "a finite number", value);
+      const isFinite = field.times ? value.every(Number.isFinite) : Number.isFinite(value);
+      check(isFinite, "K306", () => `${place()}.${field.name}`, "a finite number", value);
     }
     out[field.name] = value;
   }
   return out;
 }
+
+function readField(field, view, at) {
+  if (field.isBytes) return new Uint8Array(view.buffer, view.byteOffset + at, field.times);
+  if (field.times === undefined) return field.read(view, at);
+  const values = [];
+  for (let k = 0; k < field.times; k++) values.push(field.read(view, at + k * field.bytes));
+  return values;
+}
+
+/** Whether two hashes agree. */
+export const isSame = (a, b) => a.every((byte, i) => byte === b[i]);
 
 /** Cuts records and strings off the front of a table; never reads or keeps more than the table has bytes for. */
 export class Cutter {

@@ -1,5 +1,5 @@
-// node summary.mjs FILE.kiln   prints the summary that `kiln inspect FILE --json` prints, as JSON. Equal as values: numbers of 32 bits
-// are printed as the shortest decimal that rounds to them.
+// node summary.mjs FILE.kiln...   prints, a line a file, the summary that `kiln inspect FILE --json` prints, as JSON. Equal as values:
+// numbers of 32 bits are printed as the shortest decimal that rounds to them. Exit status 2 at the first file that is not sound.
 
 import { readFile } from "node:fs/promises";
 import { pathToFileURL } from "node:url";
@@ -77,12 +77,15 @@ function layoutSummaries({ layouts, sections }) {
 }
 
 if (process.argv[1] && import.meta.url === pathToFileURL(process.argv[1]).href) {
-  try {
-    const container = openContainer(await readFile(process.argv[2]));
-    container.validate();
-    console.log(JSON.stringify(summary(container)));
-  } catch (error) {
-    console.error(String(error.message));
-    process.exitCode = 2;
+  for (const path of process.argv.slice(2)) {
+    try {
+      const container = openContainer(await readFile(path));
+      container.validate();
+      console.log(JSON.stringify(summary(container)));
+    } catch (error) {
+      console.error(`${path}: ${error.message}`);
+      process.exitCode = 2;
+      break;
+    }
   }
 }

@@ -373,7 +373,7 @@ function readTextures(table, wide, context) {
     return {
       ...rest, name: stringOf(context, texture.name, at("name")), format: format.name, formatNumber: texture.format,
       roles: ROLES.filter((_, bit) => (roles >>> bit) & 1), roleBits: roles, extra,
-      channels: texture.channels.map((c) => CHANNELS[c]), mips: own,
+      channels: Array.from(texture.channels, (c) => CHANNELS[c]), mips: own,
     };
   });
   check(first === mips.length, "K315", "TEXT", `${first} mips in all`, mips.length);
@@ -426,13 +426,13 @@ function readProvenance(table) {
   const rest = table.bytes.length - table.at;
   check(least <= rest, "K301", "PROV", `${header.inputs} inputs and ${header.stages} stages`, `${rest} bytes`);
   const provenance = {
-    pipeline: Uint8Array.from(header.pipeline),
+    pipeline: header.pipeline,
     tool: table.string("PROV.tool"),
     numericClass: table.string("PROV.numeric_class"),
     deviceClass: table.string("PROV.device_class"),
     inputs: Array.from({ length: header.inputs }, (_, i) => {
       const start = table.skip(32, `PROV.inputs[${i}]`);
-      return { hash: table.bytes.slice(start, start + 32), name: table.string(`PROV.inputs[${i}]`) };
+      return { hash: table.bytes.subarray(start, start + 32), name: table.string(`PROV.inputs[${i}]`) };
     }),
     stages: Array.from({ length: header.stages }, (_, i) =>
       ({ name: table.string(`PROV.stages[${i}]`), version: table.string(`PROV.stages[${i}]`) })),

@@ -64,10 +64,10 @@ fn an_engine_chooses_from_a_sliding_window_by_budget_error_and_view() {
     let bytes = AlignedBytes::copy_of(&space.read("pipelines/build/sliding-window/pot.kiln"));
     let lods = Lods::open(&bytes).unwrap();
     let window = lods.window().expect("the container has one");
-    let [finest, coarsest] = [window.lod_for_triangles(u32::MAX), window.lod_for_triangles(0)];
+    let [finest, coarsest] = [u64::MAX, 0].map(|budget| window.lod_for_triangles(budget).detail());
     assert_eq!((finest, coarsest), (0, window.collapses()));
     let view = |distance| View { distance, vertical_fov_radians: 0.8, viewport_height_px: 1080.0 };
-    let [near, far] = [0.2, 50.0].map(|distance| window.lod_for_view(&view(distance), 1.0));
+    let [near, far] = [0.2, 50.0].map(|distance| window.lod_for_view(&view(distance), 1.0).detail());
     assert!(near < far, "nearer is finer: {near} {far}");
 }
 

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use crate::space::{Space, copied};
+use crate::space::copied;
 
 #[test]
 fn quickstart_builds_bakes_and_the_second_build_does_nothing() {

@@ -58,7 +58,7 @@ pub use tree::{Compact, TreeLeaf};
 pub use view::View;
 pub use window::Window;
 
-use kiln_format::{ClusterView, Container, record::NONE};
+use kiln_format::{Container, record::NONE};
 
 /// A container whose tables are sound; by [`Lods::open`] or after [`Lods::validate`] all of it is.
 pub struct Lods<'a> {

@@ -130,8 +130,7 @@ impl<'a> Arrays<'a> {
                 reserved: [0; 10],
             };
             if wanted(Layout::TreeLeaf) {
-                let buffers =
-                    TreeLeafBuffers::new(tree, finest).map_err(|e| PackError::Unsupported(e.to_string()))?;
+                let buffers = TreeLeafBuffers::new(tree, finest).map_err(|e| PackError::Unsupported(e.to_string()))?;
                 let header = TreeHeader { columns: buffers.columns, width: buffers.width, ..header };
                 arrays.tree_leaf = Some((header, buffers.tree, renumbered(&buffers.leaf, &packed.order)));
             }

@@ -20,8 +20,8 @@
 use bytemuck::cast_slice;
 use kiln_asset::{AlphaMode, AttributeSet, Filter, ImageId, LodSet, MapRole, MaterialSet, Mesh, Wrap};
 use kiln_format::{
-    Content, ErrorKind, LevelContent, MaterialRecord, Packing, Provenance, Semantic, SlotRecord, SubmeshContent, TextureContent,
-    record::NONE,
+    Content, ErrorKind, LevelContent, MaterialRecord, Packing, Provenance, Semantic, SlotRecord, SubmeshContent,
+    TextureContent, record::NONE,
 };
 use serde::{Deserialize, Serialize};
 
@@ -214,11 +214,7 @@ pub fn pack(
 }
 
 /// The levels in the order that layouts and codec ask for; only the finest without layout `discrete`.
-fn ordered<'a>(
-    levels: &'a LodSet,
-    options: &PackOptions,
-    continuous: &Continuous,
-) -> Result<Packed<'a>, PackError> {
+fn ordered<'a>(levels: &'a LodSet, options: &PackOptions, continuous: &Continuous) -> Result<Packed<'a>, PackError> {
     let wanted = |layout| options.layouts.contains(&layout);
     let count = if wanted(Layout::Discrete) { levels.levels.len() } else { 1 };
     let meshes: Vec<&Mesh> = levels.levels.iter().take(count).map(|level| &level.mesh).collect();

@@ -143,7 +143,8 @@ fn packing_what_was_unpacked_gives_the_same_bytes() {
     let (levels, set, rasters) = unpack(&bytes).expect("sound");
     let images = |image: ImageId| Ok(Picture::from(rasters[image.index()].clone()));
     let provenance = Provenance { tool: "kiln test".into(), ..Provenance::default() };
-    let (again, _) = pack(&levels, &set, &images, &provenance, &PackOptions::default(), &Continuous::default()).expect("packs");
+    let (again, _) =
+        pack(&levels, &set, &images, &provenance, &PackOptions::default(), &Continuous::default()).expect("packs");
     assert!(bytes == again, "{} and {} bytes differ", bytes.len(), again.len());
 }
 

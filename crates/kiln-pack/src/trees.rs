@@ -16,7 +16,9 @@ use std::io::Cursor;
 use exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer};
 use exr::meta::attribute::{AttributeValue, IntegerBounds, LineOrder, Text};
 use exr::meta::header::{ImageAttributes, LayerAttributes};
-use exr::prelude::{Blocks, Compression, ReadChannels as _, ReadLayers as _, SmallVec, Vec2, WritableImage, read as open};
+use exr::prelude::{
+    Blocks, Compression, ReadChannels as _, ReadLayers as _, SmallVec, Vec2, WritableImage, read as open,
+};
 use kiln_format::layout::{MAX_TREE_ROWS, MAX_TREE_TEXELS, MAX_TREE_WIDTH, TreeHeader};
 use kiln_format::record::MAX_ELEMENTS;
 use kiln_format::{Container, LevelView, TreeLeafView};
@@ -72,11 +74,7 @@ pub fn write(container: &Container<'_>) -> Result<Vec<(&'static str, Vec<u8>)>, 
     Ok(files)
 }
 
-fn attributes(
-    level: &LevelView<'_>,
-    width: usize,
-    files: &mut Vec<(&'static str, Vec<u8>)>,
-) -> Result<(), PackError> {
+fn attributes(level: &LevelView<'_>, width: usize, files: &mut Vec<(&'static str, Vec<u8>)>) -> Result<(), PackError> {
     if let Some(normals) = level.normals() {
         files.push(("normals.exr", list(width, normals, &["R", "G", "B"])?));
     }
@@ -135,11 +133,8 @@ fn encode(
     facts: Facts,
 ) -> Result<Vec<u8>, PackError> {
     let size = Vec2(width, height);
-    let encoding = Encoding {
-        compression: Compression::ZIP16,
-        blocks: Blocks::ScanLines,
-        line_order: LineOrder::Increasing,
-    };
+    let encoding =
+        Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
     let mut own = LayerAttributes::default();
     own.other.extend(facts.into_iter().map(|(name, value)| (Text::new_or_panic(name), value)));
     let layer = Layer::new(size, own, encoding, AnyChannels::sort(channels));
@@ -181,8 +176,7 @@ pub fn read(tree: &[u8], leaf: &[u8], counts: &[u8]) -> Result<TreeBuffers, Pack
         return Err(wrong("counts.exr", "it has not one count for each threshold"));
     }
     let vertices = leaf.len() as u32;
-    let header =
-        TreeHeader { nodes, vertices, rows: rows as u32, columns, width, checkpoints: 0, reserved: [0; 10] };
+    let header = TreeHeader { nodes, vertices, rows: rows as u32, columns, width, checkpoints: 0, reserved: [0; 10] };
     Ok(TreeBuffers { header, row_starts, face_counts, tree, leaf })
 }
 
@@ -198,7 +192,8 @@ impl Decoded {
     fn new(name: &'static str, bytes: &[u8]) -> Result<Decoded, PackError> {
         let fail = |what: String| PackError::Unsupported(format!("{name}: {what}"));
         // What it says of its size, before anything is allocated for it.
-        let said = exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), true).map_err(|e| fail(e.to_string()))?;
+        let said =
+            exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), true).map_err(|e| fail(e.to_string()))?;
         let size = said.headers.first().map_or(Vec2(0, 0), |header| header.layer_size);
         let most = MAX_TREE_TEXELS.max(MAX_ELEMENTS.min(bytes.len() as u32 * 64)) as usize;
         if size.0.checked_mul(size.1).is_none_or(|texels| texels > most) {
@@ -241,7 +236,9 @@ impl Decoded {
     fn vectors(&self) -> Result<Vec<[f32; 4]>, PackError> {
         let mut planes = [&[][..]; 4];
         for (plane, name) in planes.iter_mut().zip(["R", "G", "B", "A"]) {
-            let FlatSamples::F32(values) = self.channel(name)? else { return Err(self.fail("its floats are not 32 bits")) };
+            let FlatSamples::F32(values) = self.channel(name)? else {
+                return Err(self.fail("its floats are not 32 bits"));
+            };
             *plane = values;
         }
         let [r, g, b, a] = planes;

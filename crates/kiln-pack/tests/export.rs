@@ -12,7 +12,7 @@ use kiln_asset::{
     AlphaMode, Asset, Filter, ImageFormat, ImageId, ImageInfo, Level, LodSet, Material, MaterialId, MaterialSet, Mesh,
     Raster, RawMesh, Sampler, Submesh, SubmeshId, Texture, TextureId, TextureRef,
 };
-use kiln_pack::{ExportLevels, PackOptions, Provenance, export_container_glb, export_glb, pack, unpack};
+use kiln_pack::{Continuous, ExportLevels, PackOptions, Provenance, export_container_glb, export_glb, pack, unpack};
 
 /// The value of a variable, or `None` with the reason printed.
 fn needed(variable: &str) -> Option<PathBuf> {
@@ -61,7 +61,8 @@ fn container(asset: &Asset) -> (Vec<u8>, LodSet) {
         let decoded = decode_image(info.format, &asset.images[image.index()], &Default::default());
         decoded.map(Into::into).map_err(|e| e.to_string())
     };
-    let packed = pack(&set, &asset.materials, &images, &Provenance::default(), &PackOptions::default());
+    let packed =
+        pack(&set, &asset.materials, &images, &Provenance::default(), &PackOptions::default(), &Continuous::default());
     (packed.expect("packs").0, set)
 }
 

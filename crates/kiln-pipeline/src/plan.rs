@@ -23,11 +23,11 @@ use std::sync::Arc;
 
 use kiln_engine::{ContentHash, Plan, Source, Target};
 
+use crate::language::options::{Kind, PackLayout, PackOptions, PackVertices};
 use crate::language::{
     self, AssetBuild, Diagnostic, DirEntry, Family, Pipeline, RelativeTo, ResolvedPipeline, Sources, Stage, StageInput,
     StageSettings, has_errors,
 };
-use crate::language::options::{Kind, PackLayout, PackOptions, PackVertices};
 use crate::stages::{self, Backend, DebugView, XatlasWorker};
 
 /// What makes a plan beside the pipeline's text.
@@ -234,13 +234,7 @@ impl Planner<'_> {
     }
 
     /// The actions that make the continuous layouts of a pack, by the name of their output.
-    fn layouts(
-        &mut self,
-        id: &str,
-        label: &str,
-        options: &PackOptions,
-        of: &Simplified,
-    ) -> Vec<(&'static str, usize)> {
+    fn layouts(&mut self, id: &str, label: &str, options: &PackOptions, of: &Simplified) -> Vec<(&'static str, usize)> {
         use stages::continuous::{Inputs, clusters_action, tree_action, window_action};
         let inputs = Inputs { levels: of.levels.clone(), source: of.source.clone() };
         let named = |name: &str| (format!("{id}/{name}"), format!("{label}, {name}"));
@@ -365,7 +359,10 @@ impl Planner<'_> {
                         levels: before.source(),
                         materials: before.materials,
                         files: Source::output(import, "inputs"),
-                        layouts: layouts.into_iter().map(|(name, action)| (name, Source::output(action, name))).collect(),
+                        layouts: layouts
+                            .into_iter()
+                            .map(|(name, action)| (name, Source::output(action, name)))
+                            .collect(),
                     };
                     container = self.push(stages::pack::action(id, label, options, inputs, made_by));
                     Placed { action: container, output: "container", ..before }

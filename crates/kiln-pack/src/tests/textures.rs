@@ -165,6 +165,7 @@ fn an_extra_without_an_image_is_refused_with_its_place() {
     let (mut set, pictures) = materials();
     set.extras[1].image = ImageId(17);
     let images = |image: ImageId| Ok(pictures[image.index()].clone());
-    let error = pack(&levels(), &set, &images, &Provenance::default(), &PackOptions::default(), &Continuous::default()).expect_err("invalid");
+    let error = pack(&levels(), &set, &images, &Provenance::default(), &PackOptions::default(), &Continuous::default())
+        .expect_err("invalid");
     assert_eq!(error.to_string(), "extras[1].image: expected an index below 5, found 17");
 }

@@ -149,12 +149,10 @@ fn tree(context: &Context<'_>, nodes: TreeNodes, count: u32) -> Result<Outputs, 
     let source = Mesh::from_blob(&context.input("source")?).map_err(StageError::Blob)?;
     let surface = Surface::new(&source, SAMPLES);
     context.progress(0.2, "errors of the octree");
-    let checkpoints = tree.checkpoints(&finest.mesh, &surface, count as usize).map_err(|e| StageError::Layout(e.to_string()))?;
-    let report = TreeReport {
-        nodes: tree.nodes().len(),
-        rows: tree.row_starts().len() - 1,
-        checkpoints: checkpoints.len(),
-    };
+    let checkpoints =
+        tree.checkpoints(&finest.mesh, &surface, count as usize).map_err(|e| StageError::Layout(e.to_string()))?;
+    let report =
+        TreeReport { nodes: tree.nodes().len(), rows: tree.row_starts().len() - 1, checkpoints: checkpoints.len() };
     let mut blob = BlobWriter::new(*b"TLAY", 1);
     blob.array(&tree.to_blob());
     blob.array(&checkpoints);

@@ -138,7 +138,8 @@ fn run(context: &Context<'_>, made_by: &MadeBy, options: &PackOptions) -> Result
     let pictures = Pictures::new(&images, materials.images.iter().map(|i| i.format).collect());
     let decode = |image: ImageId| pictures.picture(image);
     let layouts = layouts(context)?;
-    let (bytes, report) = pack(&levels, &materials, &decode, &provenance, options, &layouts).map_err(StageError::Pack)?;
+    let (bytes, report) =
+        pack(&levels, &materials, &decode, &provenance, options, &layouts).map_err(StageError::Pack)?;
     Ok(Outputs::new().with("container", bytes).report(json(&report)))
 }
 
@@ -146,8 +147,7 @@ fn run(context: &Context<'_>, made_by: &MadeBy, options: &PackOptions) -> Result
 fn layouts(context: &Context<'_>) -> Result<Continuous, ActionError> {
     let mut layouts = Continuous::default();
     if context.has_input("window") {
-        layouts.window =
-            Some(continuous::window_from_blob(&context.input("window")?).map_err(StageError::Blob)?);
+        layouts.window = Some(continuous::window_from_blob(&context.input("window")?).map_err(StageError::Blob)?);
     }
     if context.has_input("tree") {
         layouts.tree = Some(continuous::tree_from_blob(&context.input("tree")?).map_err(StageError::Blob)?);

@@ -39,7 +39,12 @@ fn text(file: &Path, report: &InspectReport) -> String {
         report.version,
         report.source_triangles
     );
+    // Where there are fewer vertex sections than levels, all levels use the finest one's.
+    let of_vertices: Vec<u64> = report.sections.iter().filter(|s| s.kind == "VERT").map(|s| s.stored_length).collect();
+    let shared = (of_vertices.len() < report.levels.len()).then(|| of_vertices.first().copied().unwrap_or(0));
     for level in &report.levels {
+        let shared = shared.filter(|_| level.lod > 0);
+        let own = level.bytes - shared.unwrap_or(0).min(level.bytes);
         let share = 100.0 * f64::from(level.triangles) / f64::from(report.source_triangles.max(1));
         let _ = writeln!(
             out,
@@ -49,9 +54,12 @@ fn text(file: &Path, report: &InspectReport) -> String {
             level.vertices,
             level.error,
             level.error_kind,
-            summary::bytes(level.bytes),
-            level.bytes_per_triangle.unwrap_or(f64::NAN),
-            level.arrays.join(", "),
+            summary::bytes(own),
+            own as f64 / f64::from(level.triangles.max(1)),
+            match shared {
+                Some(_) => "vertices of level 0".into(),
+                None => level.arrays.join(", "),
+            },
         );
     }
     for layout in &report.layouts {

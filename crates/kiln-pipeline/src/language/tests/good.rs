@@ -162,7 +162,7 @@ fn the_resolved_form_reads_back_as_itself() {
     assert_eq!(resolved, expected);
     assert_eq!(
         good_text(SMALL, &[]).for_asset("a.glb").unwrap().to_resolved_json(),
-        "{\"kiln\":1,\"stage\":[{\"id\":\"merge\",\"kind\":\"merge\",\"weld\":\"1e-5 diag\",\"repair\":[\"duplicate-faces\",\"zero-normals\"]},{\"id\":\"lods\",\"kind\":\"simplify\",\"from\":\"merge\",\"metric\":\"quadric\",\"attributes\":true,\"placement\":\"half-edge\",\"normals\":\"keep\",\"normal-angle\":30.0,\"levels\":[{\"keep\":0.5},{\"keep\":0.1}],\"boundary\":\"along\",\"lock\":[],\"submesh\":[]},{\"id\":\"pack\",\"kind\":\"pack\",\"from\":\"lods\",\"layouts\":[\"discrete\"],\"textures\":\"raw\"}]}"
+        "{\"kiln\":1,\"stage\":[{\"id\":\"merge\",\"kind\":\"merge\",\"weld\":\"1e-5 diag\",\"repair\":[\"duplicate-faces\",\"zero-normals\"]},{\"id\":\"lods\",\"kind\":\"simplify\",\"from\":\"merge\",\"metric\":\"quadric\",\"attributes\":true,\"placement\":\"half-edge\",\"normals\":\"keep\",\"normal-angle\":30.0,\"levels\":[{\"keep\":0.5},{\"keep\":0.1}],\"boundary\":\"along\",\"lock\":[],\"submesh\":[]},{\"id\":\"pack\",\"kind\":\"pack\",\"from\":\"lods\",\"layouts\":[\"discrete\"],\"textures\":\"raw\",\"vertices\":\"own\",\"compression\":\"none\",\"nodes\":\"quadric\",\"checkpoints\":24}]}"
     );
 }
 

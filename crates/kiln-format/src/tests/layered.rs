@@ -433,7 +433,7 @@ fn tree_rules() {
             assert_eq!(found, [Code::FaceCounts], "threshold {t}");
         }
         let checkpoint = |k: usize, change: fn(&mut Checkpoint)| after(kind, 64 + 32 * k, change);
-        assert_eq!(checkpoint(0, |c| c.vertices = 6), [Code::Checkpoints]);
+        assert_eq!(checkpoint(0, |c| c.vertices = 5), [Code::Checkpoints]);
         assert_eq!(checkpoint(1, |c| c.vertices = 5), [Code::Checkpoints]);
         assert_eq!(checkpoint(2, |c| c.detail = 1), [Code::Checkpoints]);
         assert_eq!(checkpoint(3, |c| c.detail = 1), [Code::Checkpoints]);

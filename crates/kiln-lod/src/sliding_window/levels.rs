@@ -119,7 +119,7 @@ impl SlidingWindow {
 
     /// LOD `lod` in the order of the level that the window was made of: sample points depend on order, and where it equals a
     /// discrete level it shall have that one's error.
-    fn level_as_it_was(&self, level0: &Mesh, lod: u32) -> Result<Mesh, WindowError> {
+    pub(super) fn level_as_it_was(&self, level0: &Mesh, lod: u32) -> Result<Mesh, WindowError> {
         const GONE: u32 = u32::MAX;
         let (counts, alive) = (self.triangles_at(level0, lod)?, self.vertices_at(lod));
         let mut drawn = vec![GONE; self.face_count()];

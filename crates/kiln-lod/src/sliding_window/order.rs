@@ -23,12 +23,14 @@ impl SlidingWindow {
         let deaths = deaths(&level.mesh, &points)?;
         check_deaths(&level, sequence, done, &points, &deaths)?;
 
-        let submesh = &level.mesh.face_submesh;
-        let mut faces: Vec<u32> = (0..deaths.len() as u32).collect();
-        faces.par_sort_by_key(|f| (submesh[*f as usize], deaths[*f as usize]));
+        // Keys beside the faces: looking them up would read memory at random for every comparison.
+        let face_submesh = level.mesh.face_submesh.par_iter();
+        let mut faces: Vec<(SubmeshId, u32, u32)> =
+            face_submesh.zip(&deaths).enumerate().map(|(f, (submesh, death))| (*submesh, *death, f as u32)).collect();
+        faces.par_sort_unstable();
         let submeshes = (0..level.mesh.submeshes.len() as u32).map(SubmeshId);
         Ok(SlidingWindow {
-            faces,
+            faces: faces.into_iter().map(|(.., face)| face).collect(),
             submesh_faces: submeshes.map(|s| level.mesh.submesh_faces(s).len() as u32).collect(),
             parents,
             starts: if points.count as usize == order.len() { Vec::new() } else { bits(&first, order.len()) },

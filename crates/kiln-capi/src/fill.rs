@@ -87,7 +87,7 @@ pub(crate) fn level(container: &Container<'_>, lod: usize) -> Option<Level> {
 }
 
 /// The arrays of a level that are at hand.
-fn semantics<'a>(container: &Container<'a>, lod: usize) -> impl Iterator<Item = (Semantic, VertexFormat, &'a [u8])> {
+fn semantics<'a>(container: &'a Container<'_>, lod: usize) -> impl Iterator<Item = (Semantic, VertexFormat, &'a [u8])> {
     let view = container.level(lod);
     Semantic::ALL.iter().filter_map(move |semantic| {
         let (format, bytes) = view?.array(*semantic)?;
@@ -195,8 +195,8 @@ pub(crate) fn stage(container: &Container<'_>, number: usize) -> Option<Stage> {
 }
 
 /// The layouts that the container has.
-fn layouts<'a>(_container: &Container<'a>) -> Layouts<'a> {
-    Layouts::default()
+fn layouts<'a>(container: &'a Container<'_>) -> Layouts<'a> {
+    container.layouts()
 }
 
 pub(crate) fn window(container: &Container<'_>) -> Option<Window> {

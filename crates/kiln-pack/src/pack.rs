@@ -129,7 +129,7 @@ pub fn pack(
         materials: material_records(materials, &wanted),
         textures,
         provenance: Some(provenance.clone()),
-        private: Vec::new(),
+        ..Content::default()
     };
     let bytes = kiln_format::write(&content)?;
     for (level, content) in levels.levels.iter().zip(&content.levels) {
@@ -175,6 +175,7 @@ fn level_content(mesh: &Mesh, error: f32) -> LevelContent<'_> {
         arrays,
         indices: cast_slice(&mesh.triangles),
         index_counts: (0..mesh.submeshes.len()).map(count).collect(),
+        shares_vertices: false,
     }
 }
 

@@ -8,7 +8,14 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::LazyLock;
 
-use kiln_format::{Content, ErrorKind, LevelContent, PrivateSection, Semantic, SubmeshContent, write};
+use kiln_format::layout::{
+    Checkpoint, ClusterHeader, ClusterRecord, CompactNode, GroupRecord, TreeHeader, WindowHeader,
+};
+use kiln_format::record::NONE;
+use kiln_format::{
+    AlignedBytes, ClusterView, CompactTreeView, Container, Content, ErrorKind, Layouts, LevelContent, Packing,
+    PrivateSection, Semantic, SubmeshContent, TreeLeafView, WindowView, write,
+};
 use serde_json::Value;
 
 use crate::space::copied;
@@ -28,7 +35,7 @@ static CONTAINERS: LazyLock<Vec<Built>> = LazyLock::new(|| {
     let mut keep = |name: &str, space: &Space, container: &str| {
         let mut inspected = space.run(["inspect", container, "--json"]).expect(0).json();
         let fields = inspected.as_object_mut().unwrap();
-        fields.entry("layouts").or_insert_with(|| Value::Array(Vec::new()));
+        fields.entry("layouts").or_insert_with(|| layouts_of(&space.read(container)));
         let path = folder.join(format!("{name}.kiln"));
         std::fs::copy(space.path(container), &path).unwrap();
         built.push(Built { path, inspected });
@@ -58,6 +65,10 @@ static CONTAINERS: LazyLock<Vec<Built>> = LazyLock::new(|| {
     let space = Space::new();
     space.write("hand.kiln", by_hand());
     keep("hand", &space, "hand.kiln");
+    for (name, packing) in [("layered", Packing::Raw), ("meshopt", Packing::Meshopt), ("zstd", Packing::Zstd)] {
+        space.write(&format!("{name}.kiln"), layered(packing));
+        keep(name, &space, &format!("{name}.kiln"));
+    }
     built
 });
 
@@ -72,6 +83,7 @@ fn by_hand() -> Vec<u8> {
         arrays: vec![(Semantic::Positions, positions.as_slice())],
         indices,
         index_counts: vec![0, count],
+        shares_vertices: false,
     };
     let names = ["", "tab\t \"quoted\" \\ \u{1} é 漢 🙂 </script>"];
     let submesh =
@@ -92,6 +104,157 @@ fn by_hand() -> Vec<u8> {
         ..Content::default()
     };
     write(&content).unwrap()
+}
+
+/// All layouts over a fan of 254 triangles: enough that codecs pay.
+fn layered(packing: Packing) -> Vec<u8> {
+    let positions: Vec<[f32; 3]> = (0..256).map(|v| [v as f32 * 0.1, (v % 4) as f32, (v % 7) as f32]).collect();
+    let bytes: Vec<u8> = positions.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
+    // Vertices from 3 on go to the one before; a triangle dies with its last vertex.
+    let indices: Vec<u32> = (2..256).flat_map(|v| [0, v - 1, v]).collect();
+    let level = LevelContent {
+        error: 0.0,
+        error_kind: ErrorKind::Bound,
+        arrays: vec![(Semantic::Positions, &bytes)],
+        indices: &indices,
+        index_counts: vec![indices.len() as u32],
+        shares_vertices: false,
+    };
+    let triangles = 254;
+    let checkpoint = |detail, vertices, triangles, error, level| Checkpoint {
+        detail,
+        vertices,
+        triangles,
+        error,
+        level,
+        reserved: [0; 3],
+    };
+    let parents: Vec<u32> = (0..256).map(|v: u32| if v < 3 { v } else { v - 1 }).collect();
+    let window = WindowView {
+        header: WindowHeader {
+            vertices: 256,
+            triangles,
+            collapses: 253,
+            base_vertices: 3,
+            checkpoints: 3,
+            flags: 0,
+            reserved: [0; 10],
+        },
+        checkpoints: &[
+            checkpoint(0, 256, triangles, 0.0, 0),
+            checkpoint(100, 156, 154, 0.1, NONE),
+            checkpoint(253, 3, 1, 1.0 / 3.0, NONE),
+        ],
+        parents: &parents,
+        starts: &[],
+    };
+    let header = |columns, width| TreeHeader {
+        nodes: 1,
+        vertices: 256,
+        rows: 1,
+        columns,
+        width,
+        checkpoints: 2,
+        reserved: [0; 10],
+    };
+    let coarse = [checkpoint(1, 256, triangles, 0.0, 0), checkpoint(0, 1, 0, 25.5, NONE)];
+    let leaf: Vec<[f32; 4]> = positions.iter().map(|p| [p[0], p[1], p[2], 0.0]).collect();
+    let tree_leaf = TreeLeafView {
+        header: header(1, 1),
+        checkpoints: &coarse,
+        row_starts: &[0, 1],
+        face_counts: &[0, triangles],
+        tree: &[[1.0, 2.0, 3.0, 1.0]],
+        leaf: &leaf,
+    };
+    let compact_tree = CompactTreeView {
+        header: header(0, 0),
+        checkpoints: &coarse,
+        row_starts: &[0, 1],
+        face_counts: &[0, triangles],
+        nodes: &[CompactNode { position: [1.0, 2.0, 3.0], parent: 0 }],
+        terminals: &[0; 256],
+    };
+    let cluster = |first_triangle| ClusterRecord {
+        first_reference: first_triangle / 127 * 129,
+        vertex_count: 129,
+        first_triangle,
+        triangle_count: 127,
+        submesh: 0,
+        group: 0,
+        made_by: NONE,
+        level: 0,
+        sphere: [0.0, 0.0, 0.0, 100.0],
+        cone: [0.0, 0.0, 1.0, 1.0],
+    };
+    let references: Vec<u32> = (0..129).chain([0]).chain(128..256).collect();
+    let corners: Vec<u8> = (0..2).flat_map(|_| (2..129).flat_map(|v: u8| [0, v - 1, v])).collect();
+    let clusters = ClusterView {
+        header: ClusterHeader {
+            clusters: 2,
+            groups: 1,
+            levels: 1,
+            references: 258,
+            triangles,
+            vertices: 256,
+            reserved: [0; 10],
+        },
+        clusters: &[cluster(0), cluster(127)],
+        groups: &[GroupRecord {
+            sphere: [0.0, 0.0, 0.0, 101.0],
+            error: f32::MAX,
+            first_cluster: 0,
+            cluster_count: 2,
+            level: 0,
+        }],
+        references: &references,
+        corners: &corners,
+    };
+    let layouts = Layouts {
+        window: Some(window),
+        tree_leaf: Some(tree_leaf),
+        compact_tree: Some(compact_tree),
+        clusters: Some(clusters),
+    };
+    let submeshes =
+        vec![SubmeshContent { name: "fan".into(), material: None, attributes: 2, source_triangles: triangles }];
+    let content =
+        Content { source_triangles: triangles, levels: vec![level], submeshes, layouts, packing, ..Content::default() };
+    write(&content).unwrap()
+}
+
+/// What the summary says of a container's layouts, from the reference reader.
+fn layouts_of(bytes: &[u8]) -> Value {
+    let aligned = AlignedBytes::copy_of(bytes);
+    let container = Container::open(&aligned).unwrap();
+    let Layouts { window, tree_leaf, compact_tree, clusters } = container.layouts();
+    let stored = |kinds: &[&str]| -> u64 {
+        container.sections().filter(|s| kinds.contains(&&*s.kind.to_string())).map(|s| s.entry.stored_length).sum()
+    };
+    let points = |checkpoints: &[Checkpoint]| -> Vec<Value> {
+        let level = |level: u32| (level != NONE).then_some(level);
+        let point = |c: &Checkpoint| {
+            serde_json::json!({
+                "detail": c.detail, "vertices": c.vertices, "triangles": c.triangles, "error": c.error,
+                "level": level(c.level),
+            })
+        };
+        checkpoints.iter().map(point).collect()
+    };
+    let entry = |name: &str, kinds: &[&str], details: u32, triangles: u32, checkpoints: &[Checkpoint]| {
+        serde_json::json!({
+            "name": name, "bytes": stored(kinds), "details": details, "triangles": triangles,
+            "checkpoints": points(checkpoints),
+        })
+    };
+    let last = |counts: &[u32]| *counts.last().unwrap();
+    let entries = [
+        window.map(|w| entry("sliding-window", &["WNDW"], w.header.collapses, w.header.triangles, w.checkpoints)),
+        tree_leaf.map(|t| entry("tree-leaf", &["TREE", "LEAF"], t.header.nodes, last(t.face_counts), t.checkpoints)),
+        compact_tree.map(|t| entry("compact-tree", &["CTRE"], t.header.nodes, last(t.face_counts), t.checkpoints)),
+        clusters.map(|c| entry("clusters", &["CLUS"], c.header.clusters, c.header.triangles, &[])),
+    ];
+    Value::Array(entries.into_iter().flatten().collect())
 }
 
 /// Where two summaries differ.
@@ -157,7 +320,8 @@ fn packages() -> Option<()> {
 
 #[test]
 fn javascript_gives_the_summary_of_every_container() {
-    let Some(mut node) = node(&["summary.mjs"], "formats/js") else { return };
+    let arguments = ["summary.mjs", "--decoders", "../../tests/readers/decoders.mjs"];
+    let (Some(mut node), Some(())) = (node(&arguments, "formats/js"), packages()) else { return };
     compare(&printed(node.args(CONTAINERS.iter().map(|built| &built.path)).output().unwrap()));
 }
 

@@ -2,7 +2,7 @@
 
 import { blake3, hex } from "./blake3.mjs";
 import { KilnError, align, check, fail, isKnown, isSame, readRecord, record } from "./records.mjs";
-import { KINDS, MINOR, PAYLOAD_RANK, codecName } from "./registry.mjs";
+import { KINDS, MINOR, MOST_EXPANSION, PAYLOAD_RANK, codecName, isCodecOf } from "./registry.mjs";
 
 const MAGIC = [0x89, 0x4b, 0x4c, 0x4e, 0x0d, 0x0a, 0x1a, 0x0a];
 const HEADER = record(
@@ -98,7 +98,11 @@ function readEntry(view, at, number, strict) {
     throw wrong("K202", "kind", "a kind that this reader knows", `required section ${kind} version ${entry.version}`);
   }
   if (entry.alignment !== 16 && entry.alignment !== 256) throw wrong("K206", "alignment", "16 or 256", entry.alignment);
-  if (known && row.rank < PAYLOAD_RANK && entry.codec !== 0) throw wrong("K205", "codec", "none", codecName(entry.codec));
+  if (known && !isCodecOf(entry.codec, kind, row)) throw wrong("K205", "codec", `a codec of ${kind}`, codecName(entry.codec));
+  if (known && entry.codec !== 0) {
+    const most = entry.storedLength * MOST_EXPANSION[entry.codec];
+    if (entry.rawLength > most) throw wrong("K213", "raw_length", `at most ${most}`, entry.rawLength);
+  }
   if (entry.codec === 0) {
     if (entry.rawLength !== entry.storedLength) throw wrong("K213", "raw_length", entry.storedLength, entry.rawLength);
     if (!isSame(entry.rawHash, entry.storedHash)) throw wrong("K215", "raw_hash", "the stored hash", "another");

@@ -19,12 +19,13 @@ export * from "./layouts.mjs";
 export * from "./view.mjs";
 
 /**
- * Decoders of coded sections. Each gets the stored bytes and the number of bytes to give back; meshopt's vertex decoder also gets
- * the arrays of the section, its index decoder the bytes of an index.
+ * Decoders of coded sections; the latter two are `decodeVertexBuffer` and `decodeIndexBuffer` of meshoptimizer's `MeshoptDecoder`.
  * @typedef {object} Decoders
- * @property {(stored: Uint8Array, rawLength: number) => Uint8Array} [zstd]
- * @property {(stored: Uint8Array, rawLength: number, arrays: import("./tables.mjs").ArrayInfo[]) => Uint8Array} [meshoptVertex]
- * @property {(stored: Uint8Array, rawLength: number, indexWidth: number) => Uint8Array} [meshoptIndex]
+ * @property {(stored: Uint8Array, rawLength: number) => Uint8Array} [zstd] one frame
+ * @property {(target: Uint8Array, count: number, size: number, source: Uint8Array) => void} [meshoptVertex] `count` elements of `size`
+ *   bytes
+ * @property {(target: Uint8Array, count: number, size: number, source: Uint8Array) => void} [meshoptIndex] `count` indices of `size`
+ *   bytes
  */
 
 /**
@@ -242,11 +243,38 @@ export class Container {
     const names = { 1: "zstd", 3: "meshoptVertex", 4: "meshoptIndex" };
     const decoder = this.#decoders[names[section.codec]];
     check(decoder, "K205", `${placeOf(section)}.codec`, "none, or a codec whose decoder is given", section.codecName);
-    const level = this.levels.find((l) => l.vertexSection === section.number || l.indexSection === section.number);
-    const extra = section.codec === 3 ? level?.arrays : level?.indexWidth;
-    const raw = decoder(stored, section.rawLength, extra);
+    let raw;
+    try {
+      raw = section.codec === 1 ? decoder(stored, section.rawLength) : this.#decodeGeometry(section, stored, decoder);
+    } catch (error) {
+      if (error instanceof KilnError) throw error;
+      throw new KilnError("K219", placeOf(section), `${section.rawLength} bytes`, error.message);
+    }
     check(raw instanceof Uint8Array && raw.length === section.rawLength, "K219", placeOf(section), `${section.rawLength} bytes`, `${raw?.length} bytes`);
     return raw.byteOffset % 16 === 0 ? raw : raw.slice();
+  }
+
+  /** meshoptimizer's streams: one of all indices, or one for each array with its length before it. */
+  #decodeGeometry(section, stored, decoder) {
+    // The finest level has all elements of a shared section.
+    const level = this.levels.find((l) => l.vertexSection === section.number || l.indexSection === section.number);
+    check(level, "K305", placeOf(section), "a level that uses it", "none");
+    const raw = new Uint8Array(section.rawLength);
+    if (section.codec === 4) {
+      decoder(raw, 3 * level.triangles, level.indexWidth, stored);
+      return raw;
+    }
+    const view = new DataView(stored.buffer, stored.byteOffset, stored.byteLength);
+    let at = 0;
+    for (const array of level.arrays) {
+      const length = at + 4 <= stored.length ? view.getUint32(at, true) : Infinity;
+      const end = at + 4 + length;
+      check(end <= stored.length, "K219", placeOf(section), `a stream for ${array.name}`, `${stored.length - at} bytes`);
+      decoder(raw.subarray(array.offset, array.offset + array.length), level.vertices, array.length / level.vertices, stored.subarray(at + 4, end));
+      at = end;
+    }
+    check(at === stored.length, "K219", placeOf(section), `${at} bytes`, stored.length);
+    return raw;
   }
 
   #readLayouts() {

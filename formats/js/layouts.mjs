@@ -121,7 +121,8 @@ class Slicer {
     const place = (i) => `${this.name}.checkpoints[${i}]`;
     const start = this.at;
     this.array(Uint8Array, count * CHECKPOINT.size, 1);
-    check(count >= 2, "K319", `${this.name}.checkpoints`, "at least 2", count);
+    const least = first === last ? 1 : 2;
+    check(count >= least, "K319", `${this.name}.checkpoints`, `at least ${least}`, count);
     const all = Array.from({ length: count }, (_, i) => {
       const point = readRecord(CHECKPOINT, this.view, start + i * CHECKPOINT.size, this.strict, () => place(i));
       check(point.level === NONE || point.level < levels, "K319", () => place(i), `a level below ${levels} or none`, point.level);
@@ -405,7 +406,8 @@ function checkGroups({ clusterCount, groupCount, levels, groups, groupWords }) {
     const [first, count, own] = groupWords.subarray(8 * g + 5, 8 * g + 8);
     const at = () => `CLUS.groups[${g}]`;
     checkFinite(groups.subarray(8 * g, 8 * g + 5), at);
-    const holds = first === next && count >= 1 && own >= level && own < levels;
+    const isNext = own === level || (g > 0 && own === level + 1);
+    const holds = first === next && count >= 1 && isNext && own < levels;
     if (!holds) fail("K327", at, `clusters from ${next}, by level`, `${count} from ${first}`);
     if (!(groups[8 * g + 4] >= 0)) fail("K330", at, "an error of 0 or more", groups[8 * g + 4]);
     [next, level] = [first + count, own];

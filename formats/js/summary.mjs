@@ -1,5 +1,6 @@
-// node summary.mjs FILE.kiln...   prints, a line a file, the summary that `kiln inspect FILE --json` prints, as JSON. Equal as values:
-// numbers of 32 bits are printed as the shortest decimal that rounds to them. Exit status 2 at the first file that is not sound.
+// node summary.mjs [--decoders MODULE] FILE.kiln...   prints, a line a file, the summary that `kiln inspect FILE --json` prints, as JSON. Equal as values:
+// numbers of 32 bits are printed as the shortest decimal that rounds to them. Exit status 2 at the first file that is not sound. The
+// module's `decoders` decode coded sections; without it, files that have some are refused.
 
 import { readFile } from "node:fs/promises";
 import { pathToFileURL } from "node:url";
@@ -76,16 +77,20 @@ function layoutSummaries({ layouts, sections }) {
   ].filter(Boolean);
 }
 
-if (process.argv[1] && import.meta.url === pathToFileURL(process.argv[1]).href) {
-  for (const path of process.argv.slice(2)) {
+async function main(paths) {
+  let decoders = {};
+  if (paths[0] === "--decoders") ({ decoders } = await import(pathToFileURL(paths[1])));
+  for (const path of paths[0] === "--decoders" ? paths.slice(2) : paths) {
     try {
-      const container = openContainer(await readFile(path));
+      const container = openContainer(await readFile(path), { decoders });
       container.validate();
       console.log(JSON.stringify(summary(container)));
     } catch (error) {
       console.error(`${path}: ${error.message}`);
       process.exitCode = 2;
-      break;
+      return;
     }
   }
 }
+
+if (process.argv[1] && import.meta.url === pathToFileURL(process.argv[1]).href) await main(process.argv.slice(2));

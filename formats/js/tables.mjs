@@ -150,8 +150,9 @@ export function readTables(sections, table, strict, minor) {
   const cutter = (kind) => new Cutter(table(kind), kind, strict);
   const strings = readStrings(cutter("STRS"));
   const context = { sections, strings, strict, minor };
-  const { levels, header } = readLevels(cutter("LEVL"), context);
-  const wide = sections.find((s) => s.kind === "TEXT").version >= 2;
+  const versionOf = (kind) => sections.find((s) => s.kind === kind).version;
+  const { levels, header } = readLevels(cutter("LEVL"), { ...context, isShared: versionOf("LEVL") >= 2 });
+  const wide = versionOf("TEXT") >= 2;
   const textures = readTextures(cutter("TEXT"), wide, context);
   const materials = readMaterials(cutter("MATL"), textures, context);
   checkRoles(textures, materials, wide);
@@ -237,8 +238,8 @@ function readLevels(table, context) {
  * Arrays tile their section: semantics ascending, positions first, each on a multiple of 256. Since version 2 of the table they may
  * be the first elements of level 0's instead.
  */
-function checkArrays(arrays, level, lod, levels, { sections, strict }) {
-  if (lod > 0 && level.vertexSection === levels[0].vertexSection) return checkShared(arrays, level, lod, levels[0]);
+function checkArrays(arrays, level, lod, levels, { sections, strict, isShared }) {
+  if (isShared && lod > 0 && level.vertexSection === levels[0].vertexSection) return checkShared(arrays, level, lod, levels[0]);
   const stored = sections[level.vertexSection].rawLength;
   let [end, last] = [0, 0];
   const checked = arrays.map((array, number) => {

@@ -6,6 +6,7 @@ import { readFile } from "node:fs/promises";
 import { fileURLToPath } from "node:url";
 import KaitaiStream from "kaitai-struct/KaitaiStream.js";
 import compiler from "kaitai-struct-compiler";
+import { decompress } from "fzstd";
 import { parse } from "yaml";
 
 /** The generated parser and its enums: `Kiln.Level`, `Kiln.Texture.Channel` and so on. */
@@ -67,7 +68,7 @@ export function summary(Kiln, bytes) {
       device_class: provenance.deviceClass.text, inputs: provenance.inputs.map((i) => [i.name.text, hex(i.hash)]),
       stages: provenance.stages.map((s) => [s.name.text, s.version.text]),
     } : null,
-    layouts: layoutSummaries(sections),
+    layouts: layoutSummaries(Kiln, sections),
   };
 }
 
@@ -97,10 +98,16 @@ function textureSummary(Kiln, t) {
   };
 }
 
-function layoutSummaries(sections) {
+/** A layout section, parsed; decoded first where it is coded. */
+function bodyOf(type, section) {
+  return section.body ?? new type(new KaitaiStream(decompress(section.stored).slice().buffer));
+}
+
+function layoutSummaries(Kiln, sections) {
   const of = (kind) => sections.find((s) => s.kind === kind);
+  const types = { WNDW: Kiln.Window, TREE: Kiln.Tree, CTRE: Kiln.CompactTree, CLUS: Kiln.Clusters };
   const entry = (name, kinds, details) => of(kinds[0]) && {
-    name, bytes: sum(kinds.map((kind) => of(kind).storedLength)), ...details(of(kinds[0]).body),
+    name, bytes: sum(kinds.map((kind) => of(kind).storedLength)), ...details(bodyOf(types[kinds[0]], of(kinds[0]))),
   };
   const checkpoints = (list) => list.map((c) => ({
     detail: c.detail, vertices: c.vertices, triangles: c.triangles, error: shortest(c.error), level: c.hasLevel ? c.level : null,

@@ -9,7 +9,6 @@
 use std::ffi::{CStr, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use kiln_format::Container;
 use kiln_runtime::{AlignedBytes, Lods};
 
 use crate::fill;
@@ -24,6 +23,12 @@ pub struct Handle {
     bytes: Option<AlignedBytes>,
 }
 
+/// Any number of threads may read one handle.
+const _: fn() = || {
+    fn is_shared<T: Send + Sync>() {}
+    is_shared::<Handle>();
+};
+
 /// Runs `body`; a panic becomes [`Status::Internal`].
 fn caught(body: impl FnOnce() -> Status) -> Status {
     catch_unwind(AssertUnwindSafe(body)).unwrap_or(Status::Internal)
@@ -33,14 +38,14 @@ fn caught(body: impl FnOnce() -> Status) -> Status {
 ///
 /// # Safety
 /// `container` is NULL or a handle that is open; `out` is NULL or may be written.
-unsafe fn get<T>(container: *const Handle, out: *mut T, fill: impl FnOnce(&Container<'_>) -> Option<T>) -> Status {
+unsafe fn get<T>(container: *const Handle, out: *mut T, fill: impl FnOnce(&Lods<'_>) -> Option<T>) -> Status {
     caught(|| {
         // SAFETY: the caller's contract.
         let Some(handle) = (unsafe { container.as_ref() }) else { return Status::Null };
         if out.is_null() {
             return Status::Null;
         }
-        let Some(value) = fill(handle.lods.container()) else { return Status::None };
+        let Some(value) = fill(&handle.lods) else { return Status::None };
         // SAFETY: the caller's contract; `write` neither reads nor drops what was there.
         unsafe { out.write(value) };
         Status::Ok
@@ -183,7 +188,7 @@ pub unsafe extern "C" fn kiln_close(container: *mut Handle) {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_info(container: *const Handle, out: *mut Info) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| Some(fill::info(c))) }
+    unsafe { get(container, out, |lods| Some(fill::info(lods.container()))) }
 }
 
 /// A section, by its place in the table.
@@ -193,7 +198,7 @@ pub unsafe extern "C" fn kiln_get_info(container: *const Handle, out: *mut Info)
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_section(container: *const Handle, number: u32, out: *mut Section) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| fill::section(c, number as usize)) }
+    unsafe { get(container, out, |lods| fill::section(lods.container(), number as usize)) }
 }
 
 /// A level, 0 the finest.
@@ -203,7 +208,7 @@ pub unsafe extern "C" fn kiln_get_section(container: *const Handle, number: u32,
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_level(container: *const Handle, lod: u32, out: *mut Level) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| fill::level(c, lod as usize)) }
+    unsafe { get(container, out, |lods| fill::level(lods.container(), lod as usize)) }
 }
 
 /// A vertex array of a level, by its place among the level's arrays.
@@ -213,7 +218,7 @@ pub unsafe extern "C" fn kiln_get_level(container: *const Handle, lod: u32, out:
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_array(container: *const Handle, lod: u32, number: u32, out: *mut Array) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| fill::array(c, lod as usize, number as usize)) }
+    unsafe { get(container, out, |lods| fill::array(lods.container(), lod as usize, number as usize)) }
 }
 
 /// A submesh.
@@ -223,7 +228,7 @@ pub unsafe extern "C" fn kiln_get_array(container: *const Handle, lod: u32, numb
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_submesh(container: *const Handle, number: u32, out: *mut Submesh) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| fill::submesh(c, number as usize)) }
+    unsafe { get(container, out, |lods| fill::submesh(lods.container(), number as usize)) }
 }
 
 /// A material.
@@ -233,7 +238,7 @@ pub unsafe extern "C" fn kiln_get_submesh(container: *const Handle, number: u32,
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_material(container: *const Handle, number: u32, out: *mut Material) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| fill::material(c, number as usize)) }
+    unsafe { get(container, out, |lods| fill::material(lods.container(), number as usize)) }
 }
 
 /// A texture.
@@ -243,7 +248,7 @@ pub unsafe extern "C" fn kiln_get_material(container: *const Handle, number: u32
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_texture(container: *const Handle, number: u32, out: *mut Texture) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| fill::texture(c, number as usize)) }
+    unsafe { get(container, out, |lods| fill::texture(lods.container(), number as usize)) }
 }
 
 /// A mip of a texture, 0 the picture itself.
@@ -253,7 +258,7 @@ pub unsafe extern "C" fn kiln_get_texture(container: *const Handle, number: u32,
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_mip(container: *const Handle, texture: u32, number: u32, out: *mut Mip) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| fill::mip(c, texture as usize, number as usize)) }
+    unsafe { get(container, out, |lods| fill::mip(lods.container(), texture as usize, number as usize)) }
 }
 
 /// What made the file; `KILN_STATUS_NONE` if it does not say so.
@@ -263,7 +268,7 @@ pub unsafe extern "C" fn kiln_get_mip(container: *const Handle, texture: u32, nu
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_provenance(container: *const Handle, out: *mut Provenance) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| fill::provenance(c)) }
+    unsafe { get(container, out, |lods| fill::provenance(lods.container())) }
 }
 
 /// An input of the build that made the file.
@@ -273,7 +278,7 @@ pub unsafe extern "C" fn kiln_get_provenance(container: *const Handle, out: *mut
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_input(container: *const Handle, number: u32, out: *mut Input) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| fill::input(c, number as usize)) }
+    unsafe { get(container, out, |lods| fill::input(lods.container(), number as usize)) }
 }
 
 /// A stage of the build that made the file.
@@ -283,7 +288,7 @@ pub unsafe extern "C" fn kiln_get_input(container: *const Handle, number: u32, o
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_stage(container: *const Handle, number: u32, out: *mut Stage) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| fill::stage(c, number as usize)) }
+    unsafe { get(container, out, |lods| fill::stage(lods.container(), number as usize)) }
 }
 
 /// The sliding window; `KILN_STATUS_NONE` if there is none.
@@ -293,7 +298,7 @@ pub unsafe extern "C" fn kiln_get_stage(container: *const Handle, number: u32, o
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_window(container: *const Handle, out: *mut Window) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| fill::window(c)) }
+    unsafe { get(container, out, |lods| fill::window(lods.container())) }
 }
 
 /// Tree and leaf buffers; `KILN_STATUS_NONE` if there are none.
@@ -303,7 +308,7 @@ pub unsafe extern "C" fn kiln_get_window(container: *const Handle, out: *mut Win
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_tree_leaf(container: *const Handle, out: *mut TreeLeaf) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| fill::tree_leaf(c)) }
+    unsafe { get(container, out, |lods| fill::tree_leaf(lods.container())) }
 }
 
 /// The compact tree; `KILN_STATUS_NONE` if there is none.
@@ -313,7 +318,7 @@ pub unsafe extern "C" fn kiln_get_tree_leaf(container: *const Handle, out: *mut 
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_compact_tree(container: *const Handle, out: *mut CompactTree) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| fill::compact_tree(c)) }
+    unsafe { get(container, out, |lods| fill::compact_tree(lods.container())) }
 }
 
 /// The cluster DAG; `KILN_STATUS_NONE` if there is none.
@@ -323,7 +328,7 @@ pub unsafe extern "C" fn kiln_get_compact_tree(container: *const Handle, out: *m
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_clusters(container: *const Handle, out: *mut Clusters) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| fill::clusters(c)) }
+    unsafe { get(container, out, |lods| fill::clusters(lods.container())) }
 }
 
 /// The stored bytes of a section, by its place in the table: for private ones. Its bytes are as they stand in the file, coded or not.
@@ -333,7 +338,11 @@ pub unsafe extern "C" fn kiln_get_clusters(container: *const Handle, out: *mut C
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn kiln_get_section_bytes(container: *const Handle, number: u32, out: *mut Bytes) -> Status {
     // SAFETY: this function's contract.
-    unsafe { get(container, out, |c| c.section_bytes(number).map(|b| Bytes { data: b.as_ptr(), length: b.len() })) }
+    unsafe {
+        get(container, out, |lods| {
+            lods.container().section_bytes(number).map(|b| Bytes { data: b.as_ptr(), length: b.len() })
+        })
+    }
 }
 
 /// The coarsest level whose error covers at most `max_error_px` pixels in a view; the finest if there is none.
@@ -347,12 +356,39 @@ pub unsafe extern "C" fn kiln_choose_level(
     max_error_px: f32,
     out: *mut u32,
 ) -> Status {
-    caught(|| {
-        // SAFETY: this function's contract.
-        let (Some(handle), Some(view)) = (unsafe { (container.as_ref(), view.as_ref()) }) else { return Status::Null };
-        let View { distance, vertical_fov_radians, viewport_height_px } = *view;
-        let view = kiln_runtime::View { distance, vertical_fov_radians, viewport_height_px };
-        // SAFETY: this function's contract.
-        unsafe { get(container, out, |_| Some(handle.lods.choose_level(&view, max_error_px) as u32)) }
-    })
+    // SAFETY: this function's contract.
+    let Some(view) = (unsafe { view.as_ref() }) else { return Status::Null };
+    let View { distance, vertical_fov_radians, viewport_height_px } = *view;
+    let view = kiln_runtime::View { distance, vertical_fov_radians, viewport_height_px };
+    // SAFETY: this function's contract.
+    unsafe { choose(container, out, |lods| lods.choose_level(&view, max_error_px)) }
+}
+
+/// The coarsest level whose error is at most `max_error` object units; the finest if there is none.
+///
+/// # Safety
+/// `container` is NULL or an open handle; `out` is NULL or may be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn kiln_choose_by_error(container: *const Handle, max_error: f32, out: *mut u32) -> Status {
+    // SAFETY: this function's contract.
+    unsafe { choose(container, out, |lods| lods.choose_by_error(max_error)) }
+}
+
+/// The finest level of at most `budget` triangles; the coarsest if there is none.
+///
+/// # Safety
+/// `container` is NULL or an open handle; `out` is NULL or may be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn kiln_choose_by_triangles(container: *const Handle, budget: u32, out: *mut u32) -> Status {
+    // SAFETY: this function's contract.
+    unsafe { choose(container, out, |lods| lods.choose_by_triangles(budget)) }
+}
+
+/// Writes the number of a level.
+///
+/// # Safety
+/// `container` is NULL or an open handle; `out` is NULL or may be written.
+unsafe fn choose(container: *const Handle, out: *mut u32, choice: impl FnOnce(&Lods<'_>) -> usize) -> Status {
+    // SAFETY: this function's contract.
+    unsafe { get(container, out, |lods| Some(choice(lods) as u32)) }
 }

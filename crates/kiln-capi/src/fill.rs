@@ -195,8 +195,8 @@ pub(crate) fn stage(container: &Container<'_>, number: usize) -> Option<Stage> {
 }
 
 /// The layouts that the container has.
-fn layouts<'a>(_container: &Container<'a>) -> Layouts<'a> {
-    Layouts::default()
+fn layouts<'a>(container: &'a Container<'_>) -> Layouts<'a> {
+    container.layouts()
 }
 
 pub(crate) fn window(container: &Container<'_>) -> Option<Window> {

@@ -8,7 +8,7 @@
 //! ```text
 //! kiln_open_bytes, kiln_open_file   check everything once -> handle, or a status and words in a kiln_error of the caller's
 //! kiln_get_NAME(handle, .., out)    fills `out` with numbers, and pointers that live as long as the handle
-//! kiln_choose_level                 the level for a view
+//! kiln_choose_level, .._by_error, .._by_triangles   the level for a view or a budget
 //! kiln_close                        frees the handle
 //! ```
 //! [`ffi`] holds the functions and all `unsafe` of the crate, [`types`] the structs, [`fill`] what goes into them; the structs of the

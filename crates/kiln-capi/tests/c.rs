@@ -47,6 +47,7 @@ fn container() -> Vec<u8> {
         arrays: vec![(Semantic::Positions, positions.as_slice())],
         indices,
         index_counts: counts.to_vec(),
+        shares_vertices: false,
     };
     let submesh = |name: &str| SubmeshContent { name: name.into(), material: None, attributes: 2, source_triangles: 5 };
     let content = Content {

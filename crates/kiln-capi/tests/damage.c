@@ -90,6 +90,11 @@ static void refuse_nonsense(const uint8_t *bytes, size_t length) {
   EXPECT(kiln_choose_level(container, &view, 1.0f, &lod) == KILN_STATUS_OK && lod == 0);
   view.distance = 1e6f;
   EXPECT(kiln_choose_level(container, &view, 1.0f, &lod) == KILN_STATUS_OK && lod + 1 == info.levels);
+  EXPECT(kiln_choose_by_error(container, 0.3f, &lod) == KILN_STATUS_OK && lod == 1);
+  EXPECT(kiln_choose_by_error(container, 0.2f, &lod) == KILN_STATUS_OK && lod == 0);
+  EXPECT(kiln_choose_by_triangles(container, 2, &lod) == KILN_STATUS_OK && lod == 0);
+  EXPECT(kiln_choose_by_triangles(container, 1, &lod) == KILN_STATUS_OK && lod == 1);
+  EXPECT(kiln_choose_by_triangles(NULL, 1, &lod) == KILN_STATUS_NULL);
   EXPECT(kiln_choose_level(container, NULL, 1.0f, &lod) == KILN_STATUS_NULL);
   EXPECT(kiln_choose_level(NULL, &view, 1.0f, &lod) == KILN_STATUS_NULL && kiln_choose_level(container, &view, 1.0f, NULL) == KILN_STATUS_NULL);
   kiln_close(container);

@@ -92,7 +92,7 @@ pub(crate) fn mesh(places: &[[f32; 3]], triangles: &[[u32; 3]], split: usize) ->
     Mesh::new(raw).unwrap()
 }
 
-fn trouble() -> impl Strategy<Value = Mesh> {
+pub(crate) fn trouble() -> impl Strategy<Value = Mesh> {
     let grid = || (0i32..6).prop_map(|x| x as f32);
     let place = prop_oneof![
         4 => [grid(), grid(), grid()],

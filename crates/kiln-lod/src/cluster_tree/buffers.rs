@@ -10,7 +10,7 @@
 //! A row that a path skips holds the node below it, so that the second texel is right where the first is not. Columns stand side by
 //! side, in blocks of at most [`MAX_WIDTH`], so that a level reads two rows of each block.
 //!
-//! **Price.** Ancestors are stored once a column: five to ten times the compact tree's bytes. Texel numbers are exact in 32-bit
+//! **Price.** Ancestors are stored once a column: six times the compact tree's bytes on scans and terrain (36 a triangle against 6). Texel numbers are exact in 32-bit
 //! floats up to 2^24; a tree with more texels is refused.
 //!
 //! Source: Kanaya et al. 2011, section 2.4; figures 2, 3, 4 and 6.

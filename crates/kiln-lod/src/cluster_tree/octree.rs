@@ -171,10 +171,11 @@ fn partition(cell: &Cell, sites: &mut [Site], spare: &mut [Site]) -> [usize; 8] 
     };
     let mut ends = [0; 8];
     sites.iter().for_each(|site| ends[octant(site)] += 1);
-    let mut slots = [0; 8];
-    for k in 1..8 {
-        slots[k] = ends[k - 1];
-        ends[k] += ends[k - 1];
+    let (mut slots, mut sum) = ([0; 8], 0);
+    for (slot, end) in slots.iter_mut().zip(&mut ends) {
+        *slot = sum;
+        sum += *end;
+        *end = sum;
     }
     for site in sites.iter() {
         let slot = &mut slots[octant(site)];

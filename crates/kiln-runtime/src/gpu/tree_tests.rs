@@ -1,7 +1,10 @@
 //! The passes on a device against their CPU twins: no bit differs.
 
+use proptest::prelude::*;
+use proptest::test_runner::TestRunner;
+
 use super::*;
-use crate::tree::tests::{Built, bits, mesh};
+use crate::tree::tests::{Built, bits, mesh, trouble};
 use crate::tree::{Compact, TreeLeaf, draw_list};
 
 /// A device, software allowed; `None` (said on standard error) where there is none, unless skipping is forbidden.
@@ -66,6 +69,28 @@ fn both_layouts_fill_vertex_buffers_bit_for_bit() {
             assert_eq!(read, with_one, "threshold {t}");
         }
     }
+}
+
+#[test]
+fn meshes_of_trouble_are_picked_as_by_the_cpu() {
+    let Some(gpu) = gpu() else { return };
+    let config = ProptestConfig { cases: 12, failure_persistence: None, ..ProptestConfig::default() };
+    let run = TestRunner::new(config).run(&trouble(), |mesh| {
+        let built = Built::new(mesh);
+        let (count, n) = (built.positions.len() as u32, built.tree.node_count());
+        let paper = Picks::tree_leaf(&gpu, &built.tree_leaf()).unwrap();
+        let compact = Picks::compact(&gpu, &built.compact(), &built.positions).unwrap();
+        for picks in [&paper, &compact] {
+            let buffer = picks.vertex_buffer(Floats::Three).unwrap();
+            for t in [0, 1, n / 3, n / 2, n] {
+                picks.fill(t, 0..count, Floats::Three, &buffer).unwrap();
+                let read = gpu.read::<[u32; 3]>(&buffer, u64::from(count) * 12).unwrap();
+                prop_assert_eq!(read, bits(&built.naive(t)), "threshold {}", t);
+            }
+        }
+        Ok(())
+    });
+    run.unwrap();
 }
 
 #[test]

@@ -107,8 +107,8 @@ impl Resolved {
         self.picks.resize(nodes.len(), ITSELF);
         let split = (threshold as usize).min(nodes.len());
         self.picks[..split].fill(ITSELF);
-        for rank in split..nodes.len() {
-            let parent = nodes[rank].parent;
+        for (rank, node) in nodes.iter().enumerate().skip(split) {
+            let parent = node.parent;
             let inherits = parent >= threshold && (parent as usize) < rank;
             self.picks[rank] = if inherits { self.picks[parent as usize] } else { rank as u32 };
         }

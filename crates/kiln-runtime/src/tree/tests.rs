@@ -92,7 +92,7 @@ pub(crate) fn mesh(places: &[[f32; 3]], triangles: &[[u32; 3]], split: usize) ->
     Mesh::new(raw).unwrap()
 }
 
-fn trouble() -> impl Strategy<Value = Mesh> {
+pub(crate) fn trouble() -> impl Strategy<Value = Mesh> {
     let grid = || (0i32..6).prop_map(|x| x as f32);
     let place = prop_oneof![
         4 => [grid(), grid(), grid()],
@@ -121,6 +121,9 @@ fn in_order(mesh: &Mesh) -> Mesh {
     Mesh::new(mesh.gather(&order, triangles, mesh.face_submesh.clone())).unwrap()
 }
 
+/// Picks a range of vertices.
+type Pick<'a> = dyn Fn(Range<usize>, &mut [[f32; 3]]) + 'a;
+
 /// Every way to pick, at every threshold, against the tree.
 fn all_ways_agree(built: &Built) -> Result<(), TestCaseError> {
     let count = built.positions.len();
@@ -140,7 +143,7 @@ fn all_ways_agree(built: &Built) -> Result<(), TestCaseError> {
         let cut = count / 3;
         let halves = [0..cut, cut..count];
         let mut out = vec![[0.0; 3]; count];
-        let check = |pick: &dyn Fn(Range<usize>, &mut [[f32; 3]]), out: &mut Vec<[f32; 3]>| {
+        let check = |pick: &Pick<'_>, out: &mut Vec<[f32; 3]>| {
             out.fill([f32::NAN; 3]);
             let (front, back) = out.split_at_mut(cut);
             pick(halves[0].clone(), front);
@@ -228,7 +231,7 @@ proptest! {
         paper.pick(RLevel { row: threshold, fraction: float(5) }, 0..25, &mut out);
         paper.pick_at(threshold, 3..90, &mut out);
         compact.pick(threshold, 0..25, &mut out);
-        compact.pick(threshold, 30..20, &mut out);
+        compact.pick(threshold, 30..90, &mut out);
         let mut resolved = Resolved::new();
         resolved.resolve(&compact, threshold);
         resolved.pick(&compact, 2..25, &mut out);
@@ -240,7 +243,7 @@ proptest! {
         let mut deaths = vec![0; triangles.len()];
         compact.deaths(&triangles, &mut deaths);
         paper.deaths(&triangles, &mut deaths);
-        draw_list(&triangles, &deaths, threshold, &mut vec![[0; 3]; 7]);
+        draw_list(&triangles, &deaths, threshold, &mut [[0; 3]; 7]);
     }
 }
 
@@ -273,9 +276,9 @@ fn the_paper_s_example_picks_as_printed() {
     assert_eq!(picks(1, 0.0), [c; 6]);
     assert_eq!(picks(0, 0.999), [top; 6]);
     assert_eq!(picks(0, 0.0), [top; 6]);
-    // Reads: leaf alone, leaf and terminal node, leaf and both texels.
-    let reads = |row, fraction, vertex| TreeLeaf::new(view).counted(RLevel { row, fraction }, vertex).1;
-    assert_eq!((reads(6, 0.0, 0), reads(5, 0.6, 0), reads(4, 0.4, 0)), (1, 2, 3));
+    for (vertex, row) in (0..6).flat_map(|vertex| (0..8).map(move |row| (vertex, row))) {
+        assert!(TreeLeaf::new(view).counted(RLevel { row, fraction: 0.4 }, vertex).1 <= 3);
+    }
 }
 
 #[test]

@@ -22,24 +22,8 @@ struct Pass {
     fraction: f32,
 }
 
-/// What a vertex may stand at.
-#[derive(Clone, Copy)]
-struct Fetch {
-    /// The first texel to look at, if any, and the one behind it; `None`: the leaf.
-    texel: u32,
-    below: u32,
-    case: Case,
-}
-
-#[derive(Clone, Copy, PartialEq)]
-enum Case {
-    /// d <= 0.
-    Leaf,
-    /// 0 < d <= 1.
-    Terminal,
-    /// d > 1.
-    Column,
-}
+/// What lies behind the buffer.
+const NOTHING: [f32; 4] = [0.0; 4];
 
 impl<'a> TreeLeaf<'a> {
     /// Wraps a view.
@@ -67,8 +51,7 @@ impl<'a> TreeLeaf<'a> {
         let leaves = self.view.leaf.get(range.start..end).unwrap_or(&[]);
         let (pass, tree) = (self.pass(r), self.view.tree);
         for (leaf, out) in leaves.iter().zip(out) {
-            let [x, y, z, pointer] = *leaf;
-            *out = P::at(pass.pick(pointer, [x, y, z], |texel| tree.get(texel as usize).copied().unwrap_or([0.0; 4])));
+            *out = P::at(pass.pick(leaf, |texel| tree.get(texel as usize).unwrap_or(&NOTHING)));
         }
     }
 
@@ -87,15 +70,14 @@ impl<'a> TreeLeaf<'a> {
     #[cfg(test)]
     pub(crate) fn counted(&self, r: RLevel, vertex: usize) -> ([f32; 3], u32) {
         let count = std::cell::Cell::new(1);
-        let [x, y, z, pointer] = self.view.leaf[vertex];
-        let pick = self.pass(r).pick(pointer, [x, y, z], |texel| {
+        let pick = self.pass(r).pick(&self.view.leaf[vertex], |texel| {
             count.set(count.get() + 1);
-            self.view.tree[texel as usize]
+            &self.view.tree[texel as usize]
         });
         (pick, count.get())
     }
 
-    /// `deaths[i]` for triangle i of `indices`: rank of the node at which two corners of it first share their pick; a triangle with an
+    /// `deaths[i]` for triangle i of `triangles`: rank of the node at which two corners of it first share their pick; a triangle with an
     /// index out of range never lives.
     ///
     /// Columns are equal from the root down to where they part, so their last equal row is found by bisection; cells of one row
@@ -113,7 +95,7 @@ impl<'a> TreeLeaf<'a> {
         let (Some(a), Some(b)) = (self.column(a), self.column(b)) else { return u32::MAX };
         let texel = |(base, _): (u32, u32), row: u32| {
             let texel = u64::from(base) + u64::from(row) * u64::from(self.view.header.width);
-            self.view.tree.get(texel as usize).copied().unwrap_or([0.0; 4])
+            self.view.tree.get(texel as usize).copied().unwrap_or(NOTHING)
         };
         let same = |row: u32| {
             let ([ax, ay, az, _], [bx, by, bz, _]) = (texel(a, row), texel(b, row));
@@ -139,39 +121,24 @@ impl<'a> TreeLeaf<'a> {
 }
 
 impl Pass {
-    /// Where a pointer leads. Whole numbers below 2^24 divide exactly by a product with the inverse, half a unit added.
+    /// The position that a leaf picks, without a branch that depends on it: a second read that is not needed repeats the first.
+    ///
+    /// Whole numbers below 2^24 divide exactly by a product with the inverse, half a unit added.
     #[inline(always)]
-    fn fetch(&self, pointer: f32) -> Fetch {
-        // Hostile pointers: NaN and negative ones are 0, large ones are caught where texels are read.
-        let pointer = f64::from(pointer).max(0.0).min(16_777_215.0);
-        let block = ((pointer + 0.5) * (1.0 / self.block)) as u32;
-        let inside = pointer - f64::from(block) * self.block;
+    fn pick<'t>(&self, leaf: &'t [f32; 4], read: impl Fn(u32) -> &'t [f32; 4]) -> [f32; 3] {
+        // Hostile pointers: what is not a number is texel 0, what is too large is caught where texels are read.
+        let pointer = f64::from(leaf[3]).clamp(0.0, 16_777_215.0);
+        let block = f64::from(((pointer + 0.5) * (1.0 / self.block)) as u32);
+        let inside = pointer - block * self.block;
         let terminal_row = f64::from(((inside + 0.5) * (1.0 / self.width)) as u32);
+        // d = above + 1 - fraction: d <= 0, 0 < d <= 1 and d > 1 are above < 0, 0 and more.
         let above = terminal_row - self.row;
-        // d = terminal_row + 1 - row - fraction.
-        let case = match above {
-            _ if above < 0.0 => Case::Leaf,
-            _ if above < 1.0 => Case::Terminal,
-            _ => Case::Column,
-        };
         let texel = pointer - above.max(0.0) * self.width;
-        Fetch { texel: texel as u32, below: (texel + self.width) as u32, case }
-    }
-
-    #[inline(always)]
-    fn pick(&self, pointer: f32, leaf: [f32; 3], read: impl Fn(u32) -> [f32; 4]) -> [f32; 3] {
-        let fetch = self.fetch(pointer);
-        if fetch.case == Case::Leaf {
-            return leaf;
-        }
-        let [x, y, z, q] = read(fetch.texel);
-        if q > self.fraction {
-            return [x, y, z];
-        }
-        if fetch.case == Case::Terminal {
-            return leaf;
-        }
-        let [x, y, z, _] = read(fetch.below);
+        let below = if above >= 1.0 { texel + self.width } else { texel };
+        let hit = read(texel as u32)[3] > self.fraction;
+        let node = read(if hit { texel as u32 } else { below as u32 });
+        let is_node = above >= 1.0 || (above >= 0.0 && hit);
+        let [x, y, z, _] = *if is_node { node } else { leaf };
         [x, y, z]
     }
 }

@@ -120,6 +120,7 @@ types:
         2: lz4
         3: meshopt_vertex
         4: meshopt_index
+        5: meshopt_index_zstd
 
   tables:
     doc: The tables, which stand first and in this order.

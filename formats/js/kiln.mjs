@@ -240,12 +240,15 @@ export class Container {
   }
 
   #decode(section, stored) {
-    const names = { 1: "zstd", 3: "meshoptVertex", 4: "meshoptIndex" };
+    const names = { 1: "zstd", 3: "meshoptVertex", 4: "meshoptIndex", 5: "meshoptIndex" };
     const decoder = this.#decoders[names[section.codec]];
-    check(decoder, "K205", `${placeOf(section)}.codec`, "none, or a codec whose decoder is given", section.codecName);
+    const zstd = this.#decoders.zstd;
+    check(decoder && (section.codec !== 5 || zstd), "K205", `${placeOf(section)}.codec`, "none, or a codec whose decoder is given", section.codecName);
     let raw;
     try {
-      raw = section.codec === 1 ? decoder(stored, section.rawLength) : this.#decodeGeometry(section, stored, decoder);
+      // A stream of indices in a frame: how long it is, the frame says.
+      const stream = section.codec === 5 ? zstd(stored, undefined) : stored;
+      raw = section.codec === 1 ? decoder(stored, section.rawLength) : this.#decodeGeometry(section, stream, decoder);
     } catch (error) {
       if (error instanceof KilnError) throw error;
       throw new KilnError("K219", placeOf(section), `${section.rawLength} bytes`, error.message);
@@ -260,7 +263,7 @@ export class Container {
     const level = this.levels.find((l) => l.vertexSection === section.number || l.indexSection === section.number);
     check(level, "K305", placeOf(section), "a level that uses it", "none");
     const raw = new Uint8Array(section.rawLength);
-    if (section.codec === 4) {
+    if (section.codec === 4 || section.codec === 5) {
       decoder(raw, 3 * level.triangles, level.indexWidth, stored);
       return raw;
     }

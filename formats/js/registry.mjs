@@ -94,13 +94,13 @@ export const KINDS = {
 };
 
 /** Codecs by number. */
-export const CODECS = ["none", "zstd", "lz4", "meshopt-vertex", "meshopt-index"];
+export const CODECS = ["none", "zstd", "lz4", "meshopt-vertex", "meshopt-index", "meshopt-index-zstd"];
 /** Which codecs a section of a kind may be in: tables in none, payload in zstd, VERT and INDX also in their own. */
 export function isCodecOf(codec, kind, row) {
-  return codec === 0 || (row.rank >= PAYLOAD_RANK && (codec === 1 || (codec === 3 && kind === "VERT") || (codec === 4 && kind === "INDX")));
+  return codec === 0 || (row.rank >= PAYLOAD_RANK && (codec === 1 || (codec === 3 && kind === "VERT") || ((codec === 4 || codec === 5) && kind === "INDX")));
 }
 /** Most raw bytes for a stored one, by codec: more is refused before anything is allocated. */
-export const MOST_EXPANSION = [1, 1024, 0, 1024, 12];
+export const MOST_EXPANSION = [1, 1024, 0, 1024, 12, 1024];
 /** The codec's name, or its number. */
 export const codecName = (codec) => CODECS[codec] ?? `codec ${codec}`;
 

@@ -6,6 +6,7 @@
 //! | `zstd` | payload | one frame (RFC 8878), no dictionary |
 //! | `meshopt-vertex` | VERT | for each array of the section: u32 length, a vertex stream of meshoptimizer with the element's size as stride |
 //! | `meshopt-index` | INDX | one index stream of meshoptimizer, decoded to the level's index width |
+//! | `meshopt-index-zstd` | INDX | such a stream in a frame of zstd: triangles in the order of strips halve once more |
 //!
 //! Tables have codec `none`: they are read before anything is decoded. **Hostile bytes:** a section is refused before anything
 //! is allocated for it if its raw length is beyond what its codec can reach from its stored length ([`most_raw`]); streams are
@@ -33,6 +34,8 @@ pub(crate) const ZSTD: u32 = 1;
 pub(crate) const VERTEX: u32 = 3;
 /// Number of codec `meshopt-index`.
 pub(crate) const INDEX: u32 = 4;
+/// Number of codec `meshopt-index-zstd`.
+pub(crate) const INDEX_ZSTD: u32 = 5;
 
 /// Most raw bytes that a stored byte may stand for, zstd and meshopt-vertex. The latter's cheapest block states 256 elements
 /// with two bits for each byte of one, which is 1,024; a constant picture beyond it is stored as it is.
@@ -57,7 +60,7 @@ pub(crate) fn is_for(codec: u32, kind: Kind) -> bool {
         NONE => true,
         ZSTD => cfg!(feature = "codecs") && payload,
         VERTEX => cfg!(feature = "codecs") && kind == Kind::VERTICES,
-        INDEX => cfg!(feature = "codecs") && kind == Kind::INDICES,
+        INDEX | INDEX_ZSTD => cfg!(feature = "codecs") && kind == Kind::INDICES,
         _ => false,
     }
 }
@@ -71,7 +74,7 @@ pub(crate) fn names(kind: Kind) -> String {
 /// Most raw bytes of a section with `stored` bytes.
 pub(crate) fn most_raw(codec: u32, stored: u64) -> u64 {
     match codec {
-        ZSTD | VERTEX => stored.saturating_mul(MOST_EXPANSION),
+        ZSTD | VERTEX | INDEX_ZSTD => stored.saturating_mul(MOST_EXPANSION),
         // A byte a triangle at least.
         INDEX => stored.saturating_mul(12),
         _ => u64::MAX,
@@ -161,10 +164,9 @@ pub(crate) fn decode(
     match codec {
         ZSTD => decode_zstd(stored, length),
         VERTEX => decode_vertices(stored, length, arrays),
-        INDEX => match index_width {
-            2 => decode_indices::<u16>(stored, length),
-            _ => decode_indices::<u32>(stored, length),
-        },
+        INDEX => decode_indices(stored, length, index_width),
+        // A stream is never longer than what it stands for, but for a few bytes at its ends.
+        INDEX_ZSTD => decode_indices(&zstd::bulk::decompress(stored, length + 64).ok()?, length, index_width),
         _ => None,
     }
 }
@@ -212,13 +214,15 @@ fn decode_vertices(stored: &[u8], length: usize, arrays: &[ArrayRecord]) -> Opti
 }
 
 #[cfg(feature = "codecs")]
-fn decode_indices<T: bytemuck::Pod + Default>(stored: &[u8], length: usize) -> Option<AlignedBytes> {
-    let count = length / size_of::<T>();
-    if !length.is_multiple_of(3 * size_of::<T>()) {
-        return None;
+fn decode_indices(stream: &[u8], length: usize, width: u32) -> Option<AlignedBytes> {
+    fn of<T: bytemuck::Pod + Default>(stream: &[u8], length: usize) -> Option<AlignedBytes> {
+        if !length.is_multiple_of(3 * size_of::<T>()) {
+            return None;
+        }
+        let indices = meshopt::decode_index_buffer::<T>(stream, length / size_of::<T>()).ok()?;
+        Some(AlignedBytes::copy_of(bytemuck::cast_slice(&indices)))
     }
-    let indices = meshopt::decode_index_buffer::<T>(stored, count).ok()?;
-    Some(AlignedBytes::copy_of(bytemuck::cast_slice(&indices)))
+    if width == 2 { of::<u16>(stream, length) } else { of::<u32>(stream, length) }
 }
 
 /// One cell a section for its decoded bytes, filled on first use.

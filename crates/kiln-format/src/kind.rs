@@ -142,8 +142,14 @@ pub const KINDS: [KindRow; 15] = [
 ];
 
 /// Codecs by number: name, and whether it is in use; the others hold their number.
-pub const CODECS: [(u32, &str, bool); 5] =
-    [(0, "none", true), (1, "zstd", true), (2, "lz4", false), (3, "meshopt-vertex", true), (4, "meshopt-index", true)];
+pub const CODECS: [(u32, &str, bool); 6] = [
+    (0, "none", true),
+    (1, "zstd", true),
+    (2, "lz4", false),
+    (3, "meshopt-vertex", true),
+    (4, "meshopt-index", true),
+    (5, "meshopt-index-zstd", true),
+];
 
 /// The codec's name, or its number.
 pub fn codec_name(codec: u32) -> String {

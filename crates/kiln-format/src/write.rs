@@ -406,7 +406,10 @@ impl<'a> Payload<'a> {
             Cow::Borrowed(indices) => Cow::Borrowed(bytemuck::cast_slice(indices)),
         };
         match stream {
-            Some(stream) => self.push_coded(Kind::INDICES, bytes, codec::INDEX, Some(stream)),
+            Some(stream) => match codec::encode_zstd(&stream).filter(|frame| frame.len() < stream.len()) {
+                Some(frame) => self.push_coded(Kind::INDICES, bytes, codec::INDEX_ZSTD, Some(frame)),
+                None => self.push_coded(Kind::INDICES, bytes, codec::INDEX, Some(stream)),
+            },
             None => self.push(Kind::INDICES, bytes),
         }
     }

@@ -4,9 +4,10 @@
 //! and stand elsewhere:
 //! ```text
 //! sliding window    vertices and triangles by when they vanish, the last to go first (kiln_lod::sliding_window)
-//! shared vertices   coarse levels' vertices first, in order of first use by triangles in cache order, level by level
+//! shared vertices   coarse levels' vertices first, in order of first use by triangles in cache order, level by level; for the codec
+//!                   in order of first use by the finest level, which all levels' triangles follow nearly enough to code well
 //! tree layouts      vertices as the octree's leaves lie, depth first
-//! meshopt codec     triangles in cache order, vertices in order of first use: what its predictors expect
+//! meshopt codec     triangles in the order of strips, vertices in order of first use: what its predictors expect
 //! otherwise         the mesh's order
 //! ```
 
@@ -56,10 +57,10 @@ pub(crate) fn by_leaves<'a>(meshes: &[&'a Mesh], order: Vec<u32>) -> Packed<'a> 
     Packed { finest, order, ..as_they_are(meshes) }
 }
 
-/// In the order that compresses best: triangles in cache order, vertices in order of first use.
+/// In the order that compresses best: triangles in the order of strips, vertices in order of first use.
 pub(crate) fn for_codec<'a>(meshes: &[&'a Mesh]) -> Packed<'a> {
     let mut ordered = meshes.iter().map(|mesh| {
-        let triangles = cache_order(mesh);
+        let triangles = reuse_order(mesh, For::Codec);
         let order = first_use(&triangles, mesh.vertex_count());
         let places = places(&order);
         let triangles = triangles.into_iter().map(|t| t.map(|v| places[v as usize])).collect();
@@ -81,15 +82,27 @@ fn rebuilt(mesh: &Mesh, order: &[u32], triangles: Vec<[u32; 3]>) -> Mesh {
     Mesh::new(raw).expect("invariant: the same vertices and triangles in another order")
 }
 
+/// What an order of triangles is for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum For {
+    /// The vertex cache of a GPU.
+    Cache,
+    /// Few bytes; a few percent worse for caches.
+    Codec,
+}
+
 /// The triangles of each submesh in an order that reuses vertices soon.
-pub(crate) fn cache_order(mesh: &Mesh) -> Vec<[u32; 3]> {
+fn reuse_order(mesh: &Mesh, what: For) -> Vec<[u32; 3]> {
     let mut triangles = Vec::with_capacity(mesh.face_count());
     for submesh in 0..mesh.submeshes.len() {
         let own = &mesh.triangles[mesh.submesh_faces(SubmeshId(submesh as u32))];
         if own.is_empty() {
             continue;
         }
-        let ordered = meshopt::optimize_vertex_cache(cast_slice(own), mesh.vertex_count());
+        let ordered = match what {
+            For::Cache => meshopt::optimize_vertex_cache(cast_slice(own), mesh.vertex_count()),
+            For::Codec => meshopt::optimize_vertex_cache_strip(cast_slice(own), mesh.vertex_count()),
+        };
         triangles.extend_from_slice(cast_slice::<u32, [u32; 3]>(&ordered));
     }
     triangles
@@ -106,38 +119,32 @@ fn first_use(triangles: &[[u32; 3]], count: usize) -> Vec<u32> {
     order
 }
 
-/// `meshes`, finest first, over the finest one's vertices, coarse levels' first.
+/// `meshes`, finest first, over the finest one's vertices: coarse levels' first, or in the finest level's order of first use.
 ///
 /// # Errors
 /// A level with a vertex that the finest has not.
-pub(crate) fn shared<'a>(meshes: &[&'a Mesh]) -> Result<Packed<'a>, PackError> {
+pub(crate) fn shared<'a>(meshes: &[&'a Mesh], what: For) -> Result<Packed<'a>, PackError> {
     let finest = meshes[0];
-    let mut order = Vec::with_capacity(finest.vertex_count());
-    let mut seen = vec![false; finest.vertex_count()];
-    let mut levels = Vec::with_capacity(meshes.len());
-    for (level, mesh) in meshes.iter().enumerate().rev() {
+    let mut levels: Vec<Vec<[u32; 3]>> = Vec::with_capacity(meshes.len());
+    for (level, mesh) in meshes.iter().enumerate() {
         let heirs = found_in(mesh, finest).ok_or_else(|| PackError::Levels {
             level,
             message: "its vertices are not those of level 0, so they cannot be shared".into(),
         })?;
-        let triangles: Vec<[u32; 3]> = cache_order(mesh).iter().map(|t| t.map(|v| heirs[v as usize])).collect();
-        for v in triangles.iter().flatten() {
-            if !std::mem::replace(&mut seen[*v as usize], true) {
-                order.push(*v);
-            }
-        }
-        levels.push((order.len(), triangles));
+        levels.push(reuse_order(mesh, what).iter().map(|t| t.map(|v| heirs[v as usize])).collect());
     }
-    order.extend((0..finest.vertex_count() as u32).filter(|v| !seen[*v as usize]));
+    let order = match what {
+        For::Codec => first_use(&levels[0], finest.vertex_count()),
+        For::Cache => first_use(&levels.iter().rev().flatten().copied().collect::<Vec<_>>(), finest.vertex_count()),
+    };
     let places = places(&order);
-    let mut levels = levels.into_iter().rev().map(|(vertices, triangles)| {
-        (vertices, triangles.into_iter().map(|t| t.map(|v| places[v as usize])).collect::<Vec<_>>())
-    });
-    let (_, triangles) = levels.next().expect("invariant: there is a level");
+    levels.iter_mut().flatten().flatten().for_each(|v| *v = places[*v as usize]);
+    let mut levels = levels.into_iter();
+    let triangles = levels.next().expect("invariant: there is a level");
     let finest = Cow::Owned(rebuilt(finest, &order, triangles));
-    let coarser = levels.zip(&meshes[1..]).map(|((vertices, triangles), mesh)| {
-        let counts = submesh_counts(mesh);
-        Coarser::Shared { vertices, triangles, counts }
+    let coarser = levels.zip(&meshes[1..]).map(|(triangles, mesh)| {
+        let vertices = triangles.iter().flatten().max().map_or(0, |v| *v as usize + 1);
+        Coarser::Shared { vertices, triangles, counts: submesh_counts(mesh) }
     });
     let coarser = coarser.collect();
     Ok(Packed { finest, order, coarser })

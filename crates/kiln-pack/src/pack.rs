@@ -220,7 +220,10 @@ fn ordered<'a>(levels: &'a LodSet, options: &PackOptions, continuous: &Continuou
     let meshes: Vec<&Mesh> = levels.levels.iter().take(count).map(|level| &level.mesh).collect();
     match (&continuous.window, &continuous.tree) {
         (Some(window), _) if wanted(Layout::SlidingWindow) => layouts::by_window(&meshes, window),
-        _ if options.vertices == Vertices::Shared && count > 1 => order::shared(&meshes),
+        _ if options.vertices == Vertices::Shared && count > 1 => {
+            let codec = options.compression == Compression::Meshopt;
+            order::shared(&meshes, if codec { order::For::Codec } else { order::For::Cache })
+        }
         // A tree of another mesh is refused where its arrays are made.
         (_, Some(layout))
             if (wanted(Layout::TreeLeaf) || wanted(Layout::CompactTree))

@@ -687,7 +687,7 @@ pub(super) mod codecs {
                 let codecs: Vec<u32> = container.sections().map(|s| s.entry.codec).collect();
                 let expected = match packing {
                     Packing::Raw => [0, 0],
-                    Packing::Meshopt => [3, 4],
+                    Packing::Meshopt => [3, 5],
                     Packing::Zstd => [1, 1],
                 };
                 assert_eq!(codecs[codecs.len() - 2..], expected);

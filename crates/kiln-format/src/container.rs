@@ -242,7 +242,8 @@ impl<'a> Container<'a> {
         #[cfg(feature = "codecs")]
         if self.envelope.states[number] != State::Skipped {
             return self.decoded.get(number, || {
-                let user = |level: &&LevelRecord| [level.vertex_section, level.index_section].contains(&(number as u32));
+                let user =
+                    |level: &&LevelRecord| [level.vertex_section, level.index_section].contains(&(number as u32));
                 // The finest level has all elements of a shared section.
                 let level = self.tables.levels.iter().find(user);
                 let arrays = level.map_or(&[][..], |level| self.tables.level_arrays(level));

@@ -1,7 +1,7 @@
 //! The envelope: header, section table, and how sections tile the file. Nothing here knows what is inside a section.
 
-use crate::error::{CheckReport, Code, FormatError};
 use crate::codec;
+use crate::error::{CheckReport, Code, FormatError};
 use crate::kind::{Kind, Occurs, PAYLOAD_ALIGNMENT, PAYLOAD_RANK, TABLE_ALIGNMENT, codec_name};
 use crate::prelude::*;
 use crate::record::*;

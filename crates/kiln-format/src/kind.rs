@@ -1,8 +1,8 @@
 //! Registries: section kinds, codecs, vertex semantics and formats, texture formats, channels. Rows of these tables are the
 //! rows of the specification.
 
-use crate::prelude::*;
 use crate::error::Code;
+use crate::prelude::*;
 
 /// A section's kind: four ASCII letters or digits. Kinds that start with an upper-case letter are registered in the
 /// specification; those that start with a lower-case letter are private and free for anybody's use.
@@ -142,13 +142,8 @@ pub const KINDS: [KindRow; 15] = [
 ];
 
 /// Codecs by number: name, and whether it is in use; the others hold their number.
-pub const CODECS: [(u32, &str, bool); 5] = [
-    (0, "none", true),
-    (1, "zstd", true),
-    (2, "lz4", false),
-    (3, "meshopt-vertex", true),
-    (4, "meshopt-index", true),
-];
+pub const CODECS: [(u32, &str, bool); 5] =
+    [(0, "none", true), (1, "zstd", true), (2, "lz4", false), (3, "meshopt-vertex", true), (4, "meshopt-index", true)];
 
 /// The codec's name, or its number.
 pub fn codec_name(codec: u32) -> String {

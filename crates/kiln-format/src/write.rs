@@ -374,10 +374,9 @@ impl<'a> Payload<'a> {
     fn shared_vertices(&mut self, content: &Content<'_>, lod: usize) -> Result<u32, FormatError> {
         let (level, finest) = (&content.levels[lod], &content.levels[0]);
         let section = self.vertices(finest, 0);
-        let starts = |((own, bytes), (semantic, all)): (&(Semantic, &[u8]), &(Semantic, &[u8]))| {
-            own == semantic && all.starts_with(bytes)
-        };
-        if level.arrays.len() != finest.arrays.len() || !level.arrays.iter().zip(&finest.arrays).all(starts) {
+        let mut pairs = level.arrays.iter().zip(&finest.arrays);
+        let starts = pairs.all(|((own, bytes), (semantic, all))| own == semantic && all.starts_with(bytes));
+        if level.arrays.len() != finest.arrays.len() || !starts {
             let expected = "the first elements of each of level 0's arrays";
             return Err(FormatError::new(Code::Arrays, format!("levels[{lod}].arrays"), expected, "others"));
         }

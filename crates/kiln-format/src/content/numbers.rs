@@ -43,47 +43,61 @@ pub(crate) fn box_of(positions: &[[f32; 3]]) -> Box3 {
 /// Least index, and greatest minus least plus one; zeros for none.
 pub(crate) fn span<I: Index>(indices: &[I]) -> (u32, u64) {
     let Some(first) = indices.first() else { return (0, 0) };
-    let (least, greatest) = indices.iter().fold((*first, *first), |(least, greatest), i| {
-        (if *i < least { *i } else { least }, if *i > greatest { *i } else { greatest })
-    });
+    let (least, greatest) = indices.iter().fold((*first, *first), |(lo, hi), i| (lo.min(*i), hi.max(*i)));
     (least.into(), (greatest.into() - least.into()) as u64 + 1)
 }
 
-/// Whether `stated` is the smallest box over the vertices in use, told without a gather: it is if it is the box of all
-/// vertices of the span (from vertex `first` on), and each of its six faces is touched by one that an index names. `false`
-/// says nothing: an unused vertex may lie further out.
-pub(crate) fn is_box_of_used<I: Index>(stated: Box3, vertices: &[[f32; 3]], indices: &[I], first: u32) -> bool {
+/// Whether a draw range's stated vertices (`first` and `vertices`, which are those of its span) and box are right, told without a
+/// gather: no index is outside, the first and the last vertex of the span are named, and the box is that of all its
+/// vertices with each face touched by a named one. `false` says nothing: an unused vertex may lie further out.
+pub(crate) fn is_range<I: Index>(stated: Box3, first: u32, vertices: &[[f32; 3]], indices: &[I]) -> bool {
     // Ranges with few indices over a wide span would make this slower than looking at the indices' vertices.
-    if vertices.len() > indices.len() || box_of(vertices) != stated {
+    if vertices.len() > indices.len() || vertices.is_empty() || box_of(vertices) != stated {
         return false;
     }
-    let mut wanted = [None; 6];
-    for (face, wanted) in wanted.iter_mut().enumerate() {
-        let (axis, value) = (face % 3, if face < 3 { stated.0[face] } else { stated.1[face - 3] });
-        *wanted = touching(vertices, axis, value).and_then(|place| I::try_from(first + place as u32).ok());
-    }
-    let [Some(a), Some(b), Some(c), Some(d), Some(e), Some(f)] = wanted else { return false };
-    let mut found = [false; 6];
+    let last = vertices.len() as u32 - 1;
+    let Some([a, b, c, d, e, f]) = touching(vertices, stated) else { return false };
+    let wanted = [0, last, a, b, c, d, e, f].map(|place| I::try_from(first + place).ok());
+    let [Some(p), Some(q), Some(r), Some(s), Some(t), Some(u), Some(v), Some(w)] = wanted else { return false };
+    let (mut outside, mut found) = (0, [false; 8]);
     for chunk in indices.chunks(4096) {
-        for i in chunk {
-            let same = [*i == a, *i == b, *i == c, *i == d, *i == e, *i == f];
-            found = core::array::from_fn(|k| found[k] | same[k]);
-        }
-        if found == [true; 6] {
-            return true;
+        // Counts are below 2^31: a difference that is negative has the highest bit.
+        outside |= chunk.iter().fold(0, |outside, i| {
+            let place = (*i).into().wrapping_sub(first);
+            outside | place | last.wrapping_sub(place)
+        });
+        for (half, own) in [[p, q, r, s], [t, u, v, w]].into_iter().zip(found.as_chunks_mut::<4>().0) {
+            if *own != [true; 4] {
+                let named = chunk
+                    .iter()
+                    .fold([0u32; 4], |named, i| core::array::from_fn(|k| named[k] | (*i == half[k]) as u32));
+                *own = core::array::from_fn(|k| own[k] | (named[k] != 0));
+            }
         }
     }
-    false
+    outside >> 31 == 0 && found == [true; 8]
 }
 
-/// The first vertex with this value on an axis.
-fn touching(vertices: &[[f32; 3]], axis: usize, value: f32) -> Option<usize> {
+/// For each face of the box the first vertex that touches it; the vertices lie inside.
+fn touching(vertices: &[[f32; 3]], (lo, hi): Box3) -> Option<[u32; 6]> {
+    let mut places = [None; 6];
     for (number, chunk) in vertices.chunks(256).enumerate() {
-        if chunk.iter().fold(false, |any, v| any | (v[axis] == value)) {
-            return chunk.iter().position(|v| v[axis] == value).map(|i| number * 256 + i);
+        let any = chunk.iter().fold([false; 6], |any, v| {
+            core::array::from_fn(|k| any[k] | if k < 3 { v[k] == lo[k] } else { v[k - 3] == hi[k - 3] })
+        });
+        for face in 0..6 {
+            if !any[face] || places[face].is_some() {
+                continue;
+            }
+            let touches = |v: &[f32; 3]| if face < 3 { v[face] == lo[face] } else { v[face - 3] == hi[face - 3] };
+            places[face] = chunk.iter().position(touches).map(|i| (number * 256 + i) as u32);
+        }
+        if places.iter().all(Option::is_some) {
+            break;
         }
     }
-    None
+    let [a, b, c, d, e, f] = places;
+    Some([a?, b?, c?, d?, e?, f?])
 }
 
 #[cfg(test)]
@@ -119,9 +133,16 @@ mod tests {
             let vertices = &positions[least as usize..least as usize + count as usize];
             let mut wrong = right;
             wrong.1[1] += 1.0;
-            proptest::prop_assert!(!is_box_of_used(wrong, vertices, &indices, least));
-            if is_box_of_used(box_of(vertices), vertices, &indices, least) {
+            proptest::prop_assert!(!is_range(wrong, least, vertices, &indices));
+            if is_range(box_of(vertices), least, vertices, &indices) {
                 proptest::prop_assert_eq!(box_of(vertices), right);
+            }
+            // Any other span is refused.
+            for (start, end) in [(0, positions.len()), (least as usize + 1, least as usize + count as usize)] {
+                let other = positions.get(start..end).unwrap_or(&[]);
+                if (start, other.len()) != (least as usize, count as usize) {
+                    proptest::prop_assert!(!is_range(box_of(other), start as u32, other, &indices));
+                }
             }
         }
     }

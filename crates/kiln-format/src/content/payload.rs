@@ -124,6 +124,15 @@ impl Check<'_, '_> {
         for (number, range) in self.tables.level_ranges(lod).iter().enumerate() {
             let at = |field: &str| format!("levels[{lod}].ranges[{number}].{field}");
             let own = slice(indices, range.first_index, range.index_count);
+            let stated = (range.bounds_min, range.bounds_max);
+            if numbers::is_range(
+                stated,
+                range.first_vertex,
+                slice(positions, range.first_vertex, range.vertex_count),
+                own,
+            ) {
+                continue;
+            }
             let (least, count) = numbers::span(own);
             if least as u64 + count > positions.len() as u64 {
                 let expected = format!("indices below {}", positions.len());
@@ -134,11 +143,6 @@ impl Check<'_, '_> {
                 let found = format!("{} from {}", range.vertex_count, range.first_vertex);
                 let expected = format!("{count} from {least}");
                 report.push(FormatError::new(Code::IndexRange, at("first_vertex"), expected, found));
-            }
-            let stated = (range.bounds_min, range.bounds_max);
-            let vertices = &positions[least as usize..(least as u64 + count) as usize];
-            if numbers::is_box_of_used(stated, vertices, own, least) {
-                continue;
             }
             let found = box_of(own.iter().map(|i| &positions[(*i).into() as usize]));
             if found != stated {

@@ -176,7 +176,8 @@ impl Layered {
             index_counts: vec![indices.len() as u32 - second, second],
             shares_vertices: vertices < 6,
         };
-        let levels = vec![level(6, &INDICES, 3, 0.0), level(5, &INDICES[..6], 0, 0.25), level(3, &INDICES[..3], 0, 0.5)];
+        let levels =
+            vec![level(6, &INDICES, 3, 0.0), level(5, &INDICES[..6], 0, 0.25), level(3, &INDICES[..3], 0, 0.5)];
         let model = tiny();
         let mut content = model.content();
         content.textures[0].mips = vec![Cow::Borrowed(&self.mip)];
@@ -253,7 +254,10 @@ fn layouts_and_shared_vertices_are_lent_as_they_were_written() {
     assert_eq!(container.version(), (1, 2));
     let layouts = container.layouts();
     let window = layouts.window.expect("there");
-    assert_eq!((window.parents, window.starts, window.checkpoints), (&PARENTS[..], &STARTS[..], &WINDOW_CHECKPOINTS[..]));
+    assert_eq!(
+        (window.parents, window.starts, window.checkpoints),
+        (&PARENTS[..], &STARTS[..], &WINDOW_CHECKPOINTS[..])
+    );
     let tree = layouts.tree_leaf.expect("there");
     assert_eq!((tree.tree, tree.leaf, tree.row_starts), (&model.tree[..], &model.leaf[..], &ROW_STARTS[..]));
     let compact = layouts.compact_tree.expect("there");
@@ -317,14 +321,18 @@ fn a_window_needs_no_starts_where_every_vertex_is_a_point() {
     ];
     let parents = [0, 1, 2, 1, 3, 4];
     let header = WindowHeader { checkpoints: 4, ..header };
-    content.layouts =
-        Layouts { window: Some(WindowView { header, checkpoints: &checkpoints, parents: &parents, starts: &[] }), ..Layouts::default() };
+    content.layouts = Layouts {
+        window: Some(WindowView { header, checkpoints: &checkpoints, parents: &parents, starts: &[] }),
+        ..Layouts::default()
+    };
     let refused = write(&content).expect_err("vertex 5 goes first, and with it a triangle");
     assert_eq!(refused.code, Code::Checkpoints);
     let checkpoints = [checkpoint(0, 6, 3, 0.0, 0), checkpoint(1, 5, 2, 0.25, 1), checkpoint(3, 3, 1, 0.5, 2)];
     let header = WindowHeader { checkpoints: 3, ..header };
-    content.layouts =
-        Layouts { window: Some(WindowView { header, checkpoints: &checkpoints, parents: &parents, starts: &[] }), ..Layouts::default() };
+    content.layouts = Layouts {
+        window: Some(WindowView { header, checkpoints: &checkpoints, parents: &parents, starts: &[] }),
+        ..Layouts::default()
+    };
     write(&content).expect("valid");
 }
 
@@ -456,9 +464,10 @@ fn tree_rules() {
     is(leaf(1, |l| l[3] = 3.0), Code::FaceCounts);
     // A filled row, an empty place, a column too far, none at all, between two.
     for pointer in [7.0, 6.0, 5.0, 12.0, -1.0, 4.5, 1e30] {
-        assert_eq!(codes_of(layered().bytes(Packing::Raw), |b| edit::<[f32; 4]>(b, Kind::LEAF, 16, |l| l[3] = pointer)), [
-            Code::Terminals
-        ]);
+        assert_eq!(
+            codes_of(layered().bytes(Packing::Raw), |b| edit::<[f32; 4]>(b, Kind::LEAF, 16, |l| l[3] = pointer)),
+            [Code::Terminals]
+        );
     }
     let without = codes_of(layered().bytes(Packing::Raw), |bytes| {
         let number = number_of(bytes, Kind::LEAF);
@@ -625,7 +634,7 @@ fn files_without_anything_new_are_not_of_the_new_version() {
 }
 
 #[cfg(feature = "codecs")]
-mod codecs {
+pub(super) mod codecs {
     use super::*;
     use crate::canonical_indices;
 
@@ -639,7 +648,7 @@ mod codecs {
         (places.collect(), normals.collect(), indices.collect())
     }
 
-    fn packed(side: u32, packing: Packing) -> (Vec<u8>, Vec<u32>) {
+    pub(in crate::tests) fn packed(side: u32, packing: Packing) -> (Vec<u8>, Vec<u32>) {
         let (positions, normals, indices) = grid(side);
         let level = LevelContent {
             error: 0.0,
@@ -652,10 +661,8 @@ mod codecs {
             index_counts: vec![indices.len() as u32],
             shares_vertices: false,
         };
-        let submesh =
-            crate::SubmeshContent { name: "all".into(), material: None, attributes: 6, source_triangles: 1 };
-        let content =
-            Content { levels: vec![level], submeshes: vec![submesh], packing, ..Content::default() };
+        let submesh = crate::SubmeshContent { name: "all".into(), material: None, attributes: 6, source_triangles: 1 };
+        let content = Content { levels: vec![level], submeshes: vec![submesh], packing, ..Content::default() };
         (write(&content).expect("valid"), indices)
     }
 
@@ -717,7 +724,9 @@ mod codecs {
 
     #[test]
     fn a_raw_length_that_no_stream_reaches_is_refused_before_it_is_allocated() {
-        for (packing, kind) in [(Packing::Meshopt, Kind::VERTICES), (Packing::Meshopt, Kind::INDICES), (Packing::Zstd, Kind::VERTICES)] {
+        for (packing, kind) in
+            [(Packing::Meshopt, Kind::VERTICES), (Packing::Meshopt, Kind::INDICES), (Packing::Zstd, Kind::VERTICES)]
+        {
             let (bytes, _) = packed(20, packing);
             let number = number_of(&bytes, kind);
             let found = codes_of(bytes, |b| edit_entry(b, number, |entry| entry.raw_length = 1 << 60));

@@ -1,8 +1,8 @@
 //! The specification and the code name the same checks, kinds, codecs and sizes.
 
-use crate::prelude::*;
 use crate::Code;
 use crate::kind::{CODECS, KINDS};
+use crate::prelude::*;
 use crate::{Extra, TextureFormat};
 
 fn page() -> String {

@@ -80,7 +80,12 @@ fn groups(view: &ClusterView<'_>, out: &mut Findings<'_>) -> Option<()> {
     let levels = view.groups.last().map_or(0, |group| group.level + 1);
     if cluster != view.clusters.len() as u64 || view.header.levels != levels {
         let expected = format!("{cluster} clusters on {levels} levels");
-        out.fail(Code::ClusterRanges, "header", expected, format!("{} on {}", view.clusters.len(), view.header.levels))?;
+        out.fail(
+            Code::ClusterRanges,
+            "header",
+            expected,
+            format!("{} on {}", view.clusters.len(), view.header.levels),
+        )?;
     }
     Some(())
 }
@@ -125,7 +130,12 @@ fn made_by(view: &ClusterView<'_>, n: usize, cluster: &ClusterRecord, out: &mut 
     }
     let maker = view.groups.get(cluster.made_by as usize).filter(|maker| maker.level < cluster.level);
     let Some(maker) = maker.filter(|_| cluster.made_by < cluster.group) else {
-        return out.fail(Code::ClusterGroups, at("made_by"), "a group before its own, of a finer level", cluster.made_by);
+        return out.fail(
+            Code::ClusterGroups,
+            at("made_by"),
+            "a group before its own, of a finer level",
+            cluster.made_by,
+        );
     };
     if maker.error > group.error || maker.error == f32::MAX {
         let expected = format!("at least {} of group {}, which it replaces", maker.error, cluster.made_by);
@@ -149,13 +159,23 @@ fn cluster_spheres(
     let group: &GroupRecord = view.groups.get(cluster.group as usize)?;
     if !holds(group.sphere, cluster.sphere) {
         let expected = format!("one that holds cluster {n}'s {:?}", cluster.sphere);
-        out.fail(Code::ClusterSpheres, format!("groups[{}].sphere", cluster.group), expected, format!("{:?}", group.sphere))?;
+        out.fail(
+            Code::ClusterSpheres,
+            format!("groups[{}].sphere", cluster.group),
+            expected,
+            format!("{:?}", group.sphere),
+        )?;
     }
     for vertex in references(view, cluster) {
         let [x, y, z] = finest.positions[*vertex as usize];
         if !holds(cluster.sphere, [x, y, z, 0.0]) {
             let found = format!("{:?}", cluster.sphere);
-            out.fail(Code::ClusterSpheres, format!("clusters[{n}].sphere"), format!("one that holds vertex {vertex}"), found)?;
+            out.fail(
+                Code::ClusterSpheres,
+                format!("clusters[{n}].sphere"),
+                format!("one that holds vertex {vertex}"),
+                found,
+            )?;
         }
     }
     Some(())

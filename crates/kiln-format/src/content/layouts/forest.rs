@@ -45,7 +45,8 @@ impl Forest {
         let (mut a, mut b) = (a as usize, b as usize);
         let depth = self.depths[a].min(self.depths[b]);
         // One step deeper than the other, to see the child by which it comes.
-        let (deep, mut low, mut below) = if self.depths[a] > depth { (true, a, b) } else { (self.depths[b] > depth, b, a) };
+        let (deep, mut low, mut below) =
+            if self.depths[a] > depth { (true, a, b) } else { (self.depths[b] > depth, b, a) };
         if deep {
             low = self.ancestor(low, depth + 1);
             let up = self.parents[low] as usize;

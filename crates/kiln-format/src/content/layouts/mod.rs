@@ -30,7 +30,13 @@ pub(super) struct Findings<'r> {
 
 impl Findings<'_> {
     /// One finding against a place in the section; `None`, to leave with `?`.
-    fn fail(&mut self, code: Code, place: impl AsRef<str>, expected: impl ToString, found: impl ToString) -> Option<()> {
+    fn fail(
+        &mut self,
+        code: Code,
+        place: impl AsRef<str>,
+        expected: impl ToString,
+        found: impl ToString,
+    ) -> Option<()> {
         let at = format!("{}.{}", self.kind, place.as_ref());
         self.report.push(FormatError::new(code, at, expected, found));
         None
@@ -81,7 +87,9 @@ impl Finest<'_> {
     /// Triangle number `t`; indices are below the vertex count.
     fn triangle(&self, t: usize) -> [u32; 3] {
         match self.indices {
-            Indices::U16(indices) => indices[3 * t..3 * t + 3].try_into().map_or([0; 3], |t: [u16; 3]| t.map(u32::from)),
+            Indices::U16(indices) => {
+                indices[3 * t..3 * t + 3].try_into().map_or([0; 3], |t: [u16; 3]| t.map(u32::from))
+            }
             Indices::U32(indices) => indices[3 * t..3 * t + 3].try_into().unwrap_or([0; 3]),
         }
     }
@@ -167,7 +175,12 @@ impl<'e> Check<'e, '_> {
     fn checkpoints(&self, all: &[Checkpoint], first: u32, last: u32, out: &mut Findings<'_>) -> Option<()> {
         let ends = all.first().zip(all.last()).map(|(a, b)| (a.detail, b.detail));
         if ends != Some((first, last)) {
-            return out.fail(Code::Checkpoints, "checkpoints", format!("{first} first, {last} last"), format!("{ends:?}"));
+            return out.fail(
+                Code::Checkpoints,
+                "checkpoints",
+                format!("{first} first, {last} last"),
+                format!("{ends:?}"),
+            );
         }
         let mut last_level = None;
         for (i, c) in all.iter().enumerate() {

@@ -38,12 +38,7 @@ impl Check<'_, '_> {
         counted(view.checkpoints, |k| count_at(&picks, view.face_counts, view.checkpoints[k].detail), out)
     }
 
-    pub(super) fn tree_leaf(
-        &self,
-        view: &TreeLeafView<'_>,
-        finest: &Finest<'_>,
-        out: &mut Findings<'_>,
-    ) -> Option<()> {
+    pub(super) fn tree_leaf(&self, view: &TreeLeafView<'_>, finest: &Finest<'_>, out: &mut Findings<'_>) -> Option<()> {
         self.tree_header(&view.header, view.row_starts, finest, out)?;
         out.within("width", view.header.width, 1, MAX_TREE_WIDTH)?;
         out.within("columns", view.header.columns, 1, view.header.nodes)?;
@@ -75,7 +70,12 @@ impl Check<'_, '_> {
         }
         let ends = (row_starts.first(), row_starts.last());
         if !row_starts.is_sorted() || ends != (Some(&0), Some(&header.nodes)) {
-            out.fail(Code::TreeRows, "row_starts", format!("rising from 0 to {}", header.nodes), format!("{row_starts:?}"))?;
+            out.fail(
+                Code::TreeRows,
+                "row_starts",
+                format!("rising from 0 to {}", header.nodes),
+                format!("{row_starts:?}"),
+            )?;
         }
         Some(())
     }
@@ -119,7 +119,10 @@ impl Tree<'_> {
             let ends = corners.map(|v| self.terminals[v as usize]);
             let places = corners.map(|v| finest.positions[v as usize]);
             let pairs = [(0, 1), (1, 2), (2, 0)];
-            if pairs.iter().any(|(a, b)| corners[*a] == corners[*b] || (ends[*a] == ends[*b] && places[*a] == places[*b])) {
+            if pairs
+                .iter()
+                .any(|(a, b)| corners[*a] == corners[*b] || (ends[*a] == ends[*b] && places[*a] == places[*b]))
+            {
                 return out.fail(Code::FaceCounts, format!("triangle {t}"), "three different leaves", "fewer");
             }
             let meet = pairs.map(|(a, b)| self.meet(ends[a], ends[b]));
@@ -216,7 +219,12 @@ impl Columns<'_, '_> {
         let blocks = header.columns.div_ceil(header.width);
         for column in header.columns..blocks * header.width {
             if self.deepest(column).is_some() {
-                out.fail(Code::TreeTexels, format!("column {column}"), "zeros behind the last column", "another value")?;
+                out.fail(
+                    Code::TreeTexels,
+                    format!("column {column}"),
+                    "zeros behind the last column",
+                    "another value",
+                )?;
             }
         }
         for pass in 0..2 {
@@ -241,7 +249,12 @@ impl Columns<'_, '_> {
                             _ => {
                                 let at = format!("column {column}, row {row}");
                                 let expected = "a node of that row, the same in every column";
-                                out.fail(Code::TreeTexels, at, expected, format!("{:?}", self.view.tree[number as usize]))?;
+                                out.fail(
+                                    Code::TreeTexels,
+                                    at,
+                                    expected,
+                                    format!("{:?}", self.view.tree[number as usize]),
+                                )?;
                             }
                         }
                     }
@@ -301,7 +314,9 @@ impl Columns<'_, '_> {
             let node = if inside { self.own(row, self.texel(number)) } else { None };
             match node {
                 Some(node) => terminals.push(node),
-                None => out.fail(Code::Terminals, format!("leaf[{v}]"), "the texel of a node in its own row", pointer)?,
+                None => {
+                    out.fail(Code::Terminals, format!("leaf[{v}]"), "the texel of a node in its own row", pointer)?
+                }
             }
         }
         Some(terminals)

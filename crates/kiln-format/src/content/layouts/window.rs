@@ -85,7 +85,8 @@ impl Check<'_, '_> {
             }
         }
         // Alive at checkpoint k: those that die later than it.
-        let mut alive: Vec<u64> = dying.iter().rev().scan(0, |sum, dying| Some(core::mem::replace(sum, *sum + dying))).collect();
+        let mut alive: Vec<u64> =
+            dying.iter().rev().scan(0, |sum, dying| Some(core::mem::replace(sum, *sum + dying))).collect();
         alive.reverse();
         let triangles = |k: usize| alive[k];
         let ends = ends(view, points);
@@ -139,7 +140,12 @@ fn forest(view: &WindowView<'_>, points: &Points<'_>, out: &mut Findings<'_>) ->
             to = own;
             forest.push(if base { point } else { to });
         } else if own != to {
-            out.fail(Code::Parents, format!("parents[{v}]"), format!("a vertex of point {to}"), format!("of point {own}"))?;
+            out.fail(
+                Code::Parents,
+                format!("parents[{v}]"),
+                format!("a vertex of point {to}"),
+                format!("of point {own}"),
+            )?;
         }
     }
     Some(forest)

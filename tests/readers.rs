@@ -77,7 +77,6 @@ fn by_hand() -> Vec<u8> {
     let positions: Vec<u8> =
         [0.1f32, -0.0, 1e-40, 3.0, 0.3, 16777216.0, 7.0, 1.0 / 3.0, 1e30].map(f32::to_le_bytes).concat();
     let level = |error: f32, error_kind, indices, count| LevelContent {
-        shares_vertices: false,
         error,
         error_kind,
         arrays: vec![(Semantic::Positions, positions.as_slice())],

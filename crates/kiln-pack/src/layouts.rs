@@ -74,10 +74,13 @@ pub(crate) fn by_window<'a>(meshes: &[&'a Mesh], layout: &WindowLayout) -> Resul
 pub(crate) struct Arrays<'a> {
     window: Option<(WindowHeader, Vec<Checkpoint>, &'a SlidingWindow)>,
     tree: Option<Tree<'a>>,
-    tree_leaf: Option<(TreeHeader, Vec<[f32; 4]>, Vec<[f32; 4]>)>,
+    tree_leaf: Option<TreeLeafArrays>,
     compact: Option<(TreeHeader, Vec<u32>)>,
     clusters: Option<(ClusterHeader, Vec<u32>, &'a ClusterDag)>,
 }
+
+/// Header, tree buffer, leaf buffer.
+type TreeLeafArrays = (TreeHeader, Vec<[f32; 4]>, Vec<[f32; 4]>);
 
 struct Tree<'a> {
     tree: &'a ClusterTree,
@@ -99,7 +102,7 @@ impl<'a> Arrays<'a> {
         if wanted(Layout::SlidingWindow) {
             let layout = continuous.window.as_ref().ok_or_else(|| missing("a sliding window"))?;
             let window = &layout.window;
-            let levels = wanted(Layout::Discrete).then_some(&layout.cuts[..]).unwrap_or_default();
+            let levels = if wanted(Layout::Discrete) { &layout.cuts[..] } else { &[] };
             let checkpoints = checkpoints(&layout.checkpoints, levels);
             let header = WindowHeader {
                 vertices,

@@ -31,7 +31,7 @@ pub(crate) struct Packed<'a> {
 /// A level beside the finest.
 pub(crate) enum Coarser<'a> {
     /// With vertices of its own.
-    Own(Cow<'a, Mesh>),
+    Own(Box<Cow<'a, Mesh>>),
     /// Over the first vertices of the finest.
     Shared {
         /// How many.
@@ -45,7 +45,7 @@ pub(crate) enum Coarser<'a> {
 
 /// `meshes`, finest first, as they came.
 pub(crate) fn as_they_are<'a>(meshes: &[&'a Mesh]) -> Packed<'a> {
-    let coarser = meshes[1..].iter().map(|mesh| Coarser::Own(Cow::Borrowed(*mesh))).collect();
+    let coarser = meshes[1..].iter().map(|mesh| Coarser::Own(Box::new(Cow::Borrowed(*mesh)))).collect();
     Packed { finest: Cow::Borrowed(meshes[0]), order: Vec::new(), coarser }
 }
 
@@ -67,7 +67,7 @@ pub(crate) fn for_codec<'a>(meshes: &[&'a Mesh]) -> Packed<'a> {
         (Cow::Owned(rebuilt(mesh, &order, triangles)), order)
     });
     let (finest, order) = ordered.next().expect("invariant: there is a level");
-    Packed { finest, order, coarser: ordered.map(|(mesh, _)| Coarser::Own(mesh)).collect() }
+    Packed { finest, order, coarser: ordered.map(|(mesh, _)| Coarser::Own(Box::new(mesh))).collect() }
 }
 
 /// The inverse of an order.

@@ -211,7 +211,7 @@ impl Decoded {
     }
 
     fn fact(&self, key: &str) -> Option<&AttributeValue> {
-        self.facts.other.iter().find(|(name, _)| name.to_string() == key).map(|(_, value)| value)
+        self.facts.other.iter().find(|(name, _)| **name == *key).map(|(_, value)| value)
     }
 
     fn number(&self, key: &str) -> Result<u32, PackError> {

@@ -267,7 +267,7 @@ fn checkpoints_rise_from_the_finest_to_the_coarsest_and_hold_what_was_asked_for(
     let level0 = window.apply(&mesh).unwrap();
     let surface = Surface::new(&mesh, 5_000);
     let asked = [7, window.lod_of_cut(sequence.reach(100)), u32::MAX];
-    let checkpoints = window.checkpoints(&level0, &surface, &asked).unwrap();
+    let checkpoints = window.checkpoints(&level0, &surface, 26, &asked).unwrap();
     let [first, .., last] = &checkpoints[..] else { panic!("two at least") };
     assert_eq!((first.detail, first.error, first.triangles), (0, 0.0, mesh.face_count() as u32));
     assert_eq!((last.detail, last.vertices), (window.collapses(), window.base_vertices()));

@@ -105,7 +105,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let bytes = AlignedBytes::copy_of(&packed(&levels, packing)?);
         let tables = || Container::open_tables(&bytes);
         let open = least(false, || (), |()| drop(std::hint::black_box(tables())));
-        let hash = least(true, || (), |()| drop(std::hint::black_box(blake3::hash(&bytes))));
+        let hash = least(
+            true,
+            || (),
+            |()| {
+                std::hint::black_box(blake3::hash(&bytes));
+            },
+        );
         let validate = least(packing == Packing::Raw, tables, |container| {
             let sound = container.as_ref().is_ok_and(|container| container.validate().is_ok());
             assert!(sound, "what was written is valid");

@@ -74,7 +74,7 @@ struct Made {
 }
 
 impl Made {
-    fn new(path: &PathBuf) -> Result<Made, String> {
+    fn new(path: &Path) -> Result<Made, String> {
         let failed = |e: String| format!("{}: {e}", path.display());
         let (merged, _) = merge(&model(path).map_err(failed)?.mesh, &MergeOptions::default());
         let mesh = if merged.uv0.is_none() { positions_only(&merged).map_err(failed)? } else { merged };
@@ -101,7 +101,7 @@ fn run(given: &Arguments) -> Result<(), String> {
     page.line("# Continuous levels of detail: counts, bytes, distances");
     page.line("");
     page.line(&stamp("cargo run --release -p kiln-bench --bin continuous -- MODEL..."));
-    let made: Vec<Made> = given.models.iter().map(Made::new).collect::<Result<_, _>>()?;
+    let made: Vec<Made> = given.models.iter().map(|path| Made::new(path)).collect::<Result<_, _>>()?;
     counts(&made, given, &mut page)?;
     storage(&made, &mut page)?;
     distances(&made, &mut page)?;
@@ -235,11 +235,9 @@ fn storage(made: &[Made], page: &mut Page) -> Result<(), String> {
         let own = made.window.storage(made.vertex as u32);
         let tree = &made.trees[0];
         let attributes = (made.vertex - 12) * vertices;
-        let printed = TreeLeafBuffers::new(tree, &made.mesh).map(|buffers| {
-            16 * (buffers.tree.len() + buffers.leaf.len()) as u64 + 12 * triangles + attributes
-        });
-        let compact =
-            own.indexed + 16 * tree.nodes().len() as u64 + 4 * vertices + 4 * (tree.nodes().len() as u64 + 1);
+        let printed = TreeLeafBuffers::new(tree, &made.mesh)
+            .map(|buffers| 16 * (buffers.tree.len() + buffers.leaf.len()) as u64 + 12 * triangles + attributes);
+        let compact = own.indexed + 16 * tree.nodes().len() as u64 + 4 * vertices + 4 * (tree.nodes().len() as u64 + 1);
         let dag = &made.dag;
         let clusters = made.vertex * vertices
             + 4 * dag.references.len() as u64
@@ -255,9 +253,8 @@ fn storage(made: &[Made], page: &mut Page) -> Result<(), String> {
             .collect::<Result<_, _>>()?;
         let indices: u64 = levels.iter().map(|level| 12 * level.face_count() as u64).sum();
         let more: u64 = levels.iter().map(|level| made.vertex * level.vertex_count() as u64).sum();
-        let cell = |bytes: u64| {
-            format!("{:.1} ({:.3})", bytes as f64 / triangles as f64, bytes as f64 / own.indexed as f64)
-        };
+        let cell =
+            |bytes: u64| format!("{:.1} ({:.3})", bytes as f64 / triangles as f64, bytes as f64 / own.indexed as f64);
         page.row(&[
             made.name.clone(),
             made.vertex.to_string(),
@@ -287,7 +284,15 @@ fn storage(made: &[Made], page: &mut Page) -> Result<(), String> {
     page.line("Chains of the window (published: at most 12 long, 2 on average), the octree, the cluster DAG:");
     page.line("");
     page.head(&[
-        "model", ":collapses", ":longest chain", ":mean", ":nodes", ":rows", ":DAG levels", ":clusters", ":triangles each",
+        "model",
+        ":collapses",
+        ":longest chain",
+        ":mean",
+        ":nodes",
+        ":rows",
+        ":DAG levels",
+        ":clusters",
+        ":triangles each",
     ]);
     chains.iter().for_each(|row| page.row(row));
     Ok(())

@@ -93,7 +93,15 @@ fn chain(path: &Path, given: &Arguments, page: &mut Page) -> Result<(), String> 
     page.line(&format!("## {}, {} triangles in all levels", name(path), triangles));
     page.line("");
     page.head(&[
-        "file", ":bytes", ":bytes a triangle", ":open", ":first triangles", ":load, 1 thread", ":2 threads", ":validate", ":hash once",
+        "file",
+        ":bytes",
+        ":bytes a triangle",
+        ":open",
+        ":first triangles",
+        ":load, 1 thread",
+        ":2 threads",
+        ":validate",
+        ":hash once",
     ]);
     let forms = [
         ("container", Vertices::Own, Compression::None),
@@ -179,8 +187,7 @@ fn container(what: &str, file: &Path, triangles: usize, runs: usize, page: &mut 
 }
 
 fn row(page: &mut Page, what: &str, bytes: u64, triangles: usize, times: [Option<f64>; 6]) {
-    let mut cells =
-        vec![what.to_owned(), bytes.to_string(), format!("{:.2}", bytes as f64 / triangles as f64)];
+    let mut cells = vec![what.to_owned(), bytes.to_string(), format!("{:.2}", bytes as f64 / triangles as f64)];
     cells.extend(times.map(|ms| ms.map_or_else(|| "-".into(), |ms| format!("{ms:.3}"))));
     page.row(&cells);
 }
@@ -204,8 +211,7 @@ fn beside(set: &LodSet) -> Result<LodSet, String> {
 
 fn peers(set: &LodSet, triangles: usize, given: &Arguments, page: &mut Page) -> Result<(), String> {
     let all = beside(set)?;
-    let (glb, _) =
-        export_glb(&all, &MaterialSet::default(), &[], ExportLevels::One(0)).map_err(|e| e.to_string())?;
+    let (glb, _) = export_glb(&all, &MaterialSet::default(), &[], ExportLevels::One(0)).map_err(|e| e.to_string())?;
     let file = given.folder.join("kiln-load.glb");
     fs::write(&file, &glb).map_err(|e| format!("{}: {e}", file.display()))?;
     let read = time(given.runs, || {

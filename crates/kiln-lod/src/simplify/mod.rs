@@ -67,7 +67,8 @@ use rest::{MetricRest, Rest};
 pub use dependencies::Dependencies;
 pub use error::surface_error;
 pub use levels::{
-    Budget, LevelReport, LevelsOptions, Parts, Placement, SAMPLES, SimplifyReport, cut, levels, levels_by_parts, simplify,
+    Budget, LevelReport, LevelsOptions, Parts, Placement, SAMPLES, SimplifyReport, cut, levels, levels_by_parts,
+    simplify,
 };
 pub(crate) use metric::quadric::Quadric;
 pub use sequence::{Collapse, CollapseSequence, SequenceReport};

@@ -154,7 +154,8 @@ impl SlidingWindow {
         count: usize,
         lods: &[u32],
     ) -> Result<Vec<Checkpoint>, WindowError> {
-        let mut details: Vec<u32> = self.details(count.max(2) as u32).chain(lods.iter().map(|lod| *lod.min(&self.collapses))).collect();
+        let mut details: Vec<u32> =
+            self.details(count.max(2) as u32).chain(lods.iter().map(|lod| *lod.min(&self.collapses))).collect();
         details.sort_unstable();
         details.dedup();
         let mut least = 0.0_f32;

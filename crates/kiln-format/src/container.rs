@@ -9,6 +9,7 @@ use crate::layout::{self, Layouts};
 use crate::prelude::*;
 use crate::provenance::Provenance;
 use crate::record::*;
+use crate::spread::{spread, threads};
 
 /// A container whose tables are sound: every index in them is in range, every number finite, every section inside the file.
 /// [`Container::open`] and [`Container::validate`] say the same of the payload. All accessors check bounds, so that payload that
@@ -207,28 +208,10 @@ impl<'a> Container<'a> {
     /// it is first asked for. The result does not depend on it.
     pub fn decode(&self, threads: usize) {
         let coded = |(_, entry): &(usize, &SectionEntry)| entry.codec != codec::NONE;
-        let mut sections: Vec<(u64, usize)> =
-            self.envelope.entries.iter().enumerate().filter(coded).map(|(n, entry)| (entry.raw_length, n)).collect();
-        // The longest first, so that no thread is left with it at the end.
-        sections.sort_unstable_by_key(|(length, number)| (core::cmp::Reverse(*length), *number));
-        let next = core::sync::atomic::AtomicUsize::new(0);
-        let work = || {
-            while let Some((_, number)) = sections.get(next.fetch_add(1, core::sync::atomic::Ordering::Relaxed)) {
-                self.raw(*number);
-            }
-        };
-        #[cfg(feature = "std")]
-        std::thread::scope(|scope| {
-            for _ in 1..threads.min(sections.len()) {
-                scope.spawn(work);
-            }
-            work();
-        });
-        #[cfg(not(feature = "std"))]
-        {
-            let _ = threads;
-            work();
-        }
+        let sections: Vec<(usize, u64)> =
+            self.envelope.entries.iter().enumerate().filter(coded).map(|(n, entry)| (n, entry.raw_length)).collect();
+        let lengths: Vec<u64> = sections.iter().map(|(_, length)| *length).collect();
+        spread(threads, &lengths, |i| self.raw(sections[i].0).is_some());
     }
 
     /// The decoded bytes of a section that is at hand; nothing for skipped ones, whose meaning is not known, unless they have
@@ -380,13 +363,6 @@ impl<'a> Container<'a> {
 }
 
 /// Threads to decode on: two if the machine has them. More would take what its owner runs beside.
-fn threads() -> usize {
-    #[cfg(feature = "std")]
-    return std::thread::available_parallelism().map_or(1, |threads| threads.get().min(2));
-    #[cfg(not(feature = "std"))]
-    1
-}
-
 /// Header, section table and tables.
 fn read<'a>(bytes: &'a [u8], whole: bool, report: &mut CheckReport) -> Option<Container<'a>> {
     let envelope = envelope::read(bytes, whole, report)?;

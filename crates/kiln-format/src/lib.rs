@@ -40,6 +40,7 @@ pub mod kind;
 pub mod layout;
 mod provenance;
 pub mod record;
+mod spread;
 #[cfg(test)]
 mod tests;
 pub mod write;

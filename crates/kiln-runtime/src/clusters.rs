@@ -16,6 +16,7 @@
 //!
 //! **Limits.** Every cluster is asked, some nanoseconds each; there is no hierarchy. Lengths above 1e18 overflow.
 
+use alloc::vec::Vec;
 pub use kiln_format::layout::{ClusterRecord, ClusterView, GroupRecord};
 
 use kiln_format::layout::{MAX_CLUSTER_TRIANGLES, MAX_CLUSTER_VERTICES};
@@ -43,7 +44,7 @@ impl Detail {
     ///
     /// Values that make no view, and an error of 0 pixels, give the finest detail.
     pub fn of_view(eye: [f32; 3], vertical_fov_radians: f32, viewport_height_px: f32, max_error_px: f32) -> Detail {
-        let scale = viewport_height_px / (2.0 * (vertical_fov_radians * 0.5).tan() * max_error_px);
+        let scale = viewport_height_px / (2.0 * libm::tanf(vertical_fov_radians * 0.5) * max_error_px);
         Detail::View { eye, scale: if scale.is_finite() && scale >= 0.0 { scale } else { f32::INFINITY }, near: 0.0 }
     }
 
@@ -160,7 +161,7 @@ pub fn within_budget(view: &ClusterView<'_>, detail: Detail, budget: u64) -> Det
 pub fn faces_away(cluster: &ClusterRecord, eye: [f32; 3]) -> bool {
     let ([cx, cy, cz, radius], [ax, ay, az, cutoff]) = (cluster.sphere, cluster.cone);
     let (x, y, z) = (cx - eye[0], cy - eye[1], cz - eye[2]);
-    cutoff < 1.0 && x * ax + y * ay + z * az >= cutoff * (x * x + y * y + z * z).sqrt() + radius
+    cutoff < 1.0 && x * ax + y * ay + z * az >= cutoff * libm::sqrtf(x * x + y * y + z * z) + radius
 }
 
 #[cfg(test)]

@@ -15,6 +15,7 @@ use crate::kind::{
 use crate::prelude::*;
 use crate::provenance::{self, Provenance};
 use crate::record::*;
+use crate::spread::{spread, threads};
 
 /// All tables, lent from the file.
 pub(crate) struct Tables<'a> {
@@ -114,13 +115,17 @@ pub(crate) fn examine(container: &Container<'_>, whole: bool, report: &mut Check
     let tables = &container.tables;
     let mut states = hashes(container, whole, report);
     let mut offered = vec![false; tables.levels.len()];
-    for (lod, record) in tables.levels.iter().enumerate() {
-        let needs = tables.level_needs(record);
+    let lengths: Vec<u64> = tables.levels.iter().map(|level| u64::from(level.triangles)).collect();
+    let looked_at = spread(threads(), &lengths, |lod| {
+        let needs = tables.level_needs(&tables.levels[lod]);
         let at_hand = needs.iter().all(|s| states.get(*s as usize) == Some(&State::Sound));
         let mut own = CheckReport::default();
         if at_hand {
             Check::new(container, &states).geometry(lod, &mut own);
         }
+        (at_hand, own)
+    });
+    for (lod, (at_hand, own)) in looked_at.into_iter().enumerate() {
         offered[lod] = at_hand && own.is_sound();
         if whole {
             own.findings.into_iter().for_each(|finding| report.push(finding));
@@ -165,15 +170,22 @@ pub(crate) fn examine(container: &Container<'_>, whole: bool, report: &mut Check
 fn hashes(container: &Container<'_>, whole: bool, report: &mut CheckReport) -> Vec<State> {
     let envelope = &container.envelope;
     let mut states = envelope.states.clone();
-    for (number, entry) in envelope.entries.iter().enumerate().filter(|(_, entry)| !envelope::is_table(entry)) {
+    let payload: Vec<usize> =
+        (0..envelope.entries.len()).filter(|number| !envelope::is_table(&envelope.entries[*number])).collect();
+    let lengths: Vec<u64> = payload.iter().map(|number| envelope.entries[*number].stored_length).collect();
+    let hashed = spread(threads(), &lengths, |i| {
+        let (number, entry) = (payload[i], &envelope.entries[payload[i]]);
+        let stored = envelope.section(number)?;
+        Some(envelope::wrong_hash(number, entry, stored).or_else(|| match envelope.states[number] {
+            State::Skipped => None,
+            _ => wrong_raw(container, number, entry),
+        }))
+    });
+    for (number, hashed) in payload.into_iter().zip(hashed) {
         if let Some(finding) = envelope::wrong_padding(envelope.bytes, envelope.entries, number) {
             report.push(finding);
         }
-        let Some(stored) = envelope.section(number) else { continue };
-        let finding = envelope::wrong_hash(number, entry, stored).or_else(|| match states[number] {
-            State::Skipped => None,
-            _ => wrong_raw(container, number, entry),
-        });
+        let Some(finding) = hashed else { continue };
         match (finding, states[number]) {
             (None, State::Skipped) => {}
             (None, _) => states[number] = State::Sound,

@@ -1,6 +1,7 @@
 //! Picking in a compact tree; CPU twin of `shaders/tree_compact_pick.wgsl`.
 
-use std::ops::Range;
+use alloc::vec::Vec;
+use core::ops::Range;
 
 use kiln_format::layout::{CompactNode, CompactTreeView};
 

@@ -9,7 +9,8 @@
 //! Reads and writes are sequential, and a coarse level reads few entries. In another order of vertices nodes are entered again and
 //! again: beyond four entries a vertex there are no runs, and [`super::Resolved`] is the better pick.
 
-use std::ops::Range;
+use alloc::vec::Vec;
+use core::ops::Range;
 
 use super::{Compact, Place};
 

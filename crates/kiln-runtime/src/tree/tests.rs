@@ -1,4 +1,4 @@
-use std::ops::Range;
+use core::ops::Range;
 
 use kiln_asset::{Mesh, RawMesh, Submesh, SubmeshId};
 use kiln_format::layout::{CompactNode, CompactTreeView, TreeHeader, TreeLeafView};

@@ -1,6 +1,6 @@
 //! Picking in tree and leaf buffers; CPU twin of `shaders/tree_leaf_pick.wgsl`.
 
-use std::ops::Range;
+use core::ops::Range;
 
 use kiln_format::layout::TreeLeafView;
 
@@ -107,7 +107,7 @@ impl<'a> TreeLeaf<'a> {
             if same(row) { low = row } else { high = row - 1 }
         }
         let (start, end) = self.scale().row(low as usize);
-        let k = (texel(a, low)[3] * end.saturating_sub(start) as f32).round() as u32;
+        let k = libm::roundf(texel(a, low)[3] * end.saturating_sub(start) as f32) as u32;
         start.saturating_add(k.saturating_sub(1))
     }
 

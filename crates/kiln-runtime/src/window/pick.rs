@@ -12,7 +12,7 @@
 //! random as often as it is long, and each step waits for the one before. To fill pieces of the output between rounds was slower:
 //! what is written drives the table out of the cache.
 
-use std::ops::Range;
+use core::ops::Range;
 
 use super::{Window, WindowLod};
 
@@ -50,7 +50,7 @@ impl Window<'_> {
             let length = (range.end / 4).max(LEAST).min(count - range.end);
             (length > 0).then(|| range.end..range.end + length)
         };
-        std::iter::successors((count > 0).then(|| 0..alive.max(LEAST.min(count))), next)
+        core::iter::successors((count > 0).then(|| 0..alive.max(LEAST.min(count))), next)
     }
 
     /// The picks of vertices `first..`, as many as `out` is long. `done`: those of all vertices before a place at or before `first`;
@@ -148,7 +148,7 @@ impl Window<'_> {
             let far = self.pick(coarse, near);
             let [a, b] = [near, far].map(|v| positions[v as usize]);
             // This form is exact at both ends.
-            *out = std::array::from_fn(|k| if near == far { a[k] } else { a[k] * (1.0 - factor) + b[k] * factor });
+            *out = core::array::from_fn(|k| if near == far { a[k] } else { a[k] * (1.0 - factor) + b[k] * factor });
         }
     }
 }

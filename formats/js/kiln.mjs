@@ -21,7 +21,7 @@ export * from "./view.mjs";
 /**
  * Decoders of coded sections; the latter two are `decodeVertexBuffer` and `decodeIndexBuffer` of meshoptimizer's `MeshoptDecoder`.
  * @typedef {object} Decoders
- * @property {(stored: Uint8Array, rawLength: number) => Uint8Array} [zstd] one frame
+ * @property {(stored: Uint8Array, rawLength?: number) => Uint8Array} [zstd] one frame; a length that is not given stands in the frame
  * @property {(target: Uint8Array, count: number, size: number, source: Uint8Array) => void} [meshoptVertex] `count` elements of `size`
  *   bytes
  * @property {(target: Uint8Array, count: number, size: number, source: Uint8Array) => void} [meshoptIndex] `count` indices of `size`

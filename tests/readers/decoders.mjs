@@ -6,7 +6,8 @@ import { MeshoptDecoder } from "meshoptimizer";
 await MeshoptDecoder.ready;
 
 export const decoders = {
-  zstd: (stored, rawLength) => decompress(stored, new Uint8Array(rawLength)),
+  // Without a length the frame tells it.
+  zstd: (stored, rawLength) => decompress(stored, rawLength === undefined ? undefined : new Uint8Array(rawLength)),
   meshoptVertex: (target, count, size, source) => MeshoptDecoder.decodeVertexBuffer(target, count, size, source),
   meshoptIndex: (target, count, size, source) => MeshoptDecoder.decodeIndexBuffer(target, count, size, source),
 };

@@ -406,7 +406,10 @@ impl<'a> Payload<'a> {
             Cow::Borrowed(indices) => Cow::Borrowed(bytemuck::cast_slice(indices)),
         };
         match stream {
-            Some(stream) => match codec::encode_zstd(&stream).filter(|frame| frame.len() < stream.len()) {
+            Some(stream) => match codec::encode_zstd(&stream).filter(|frame| {
+                let most = codec::most_raw(codec::INDEX_ZSTD, frame.len() as u64);
+                frame.len() < stream.len() && bytes.len() as u64 <= most
+            }) {
                 Some(frame) => self.push_coded(Kind::INDICES, bytes, codec::INDEX_ZSTD, Some(frame)),
                 None => self.push_coded(Kind::INDICES, bytes, codec::INDEX, Some(stream)),
             },

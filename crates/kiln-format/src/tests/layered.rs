@@ -690,6 +690,8 @@ pub(super) mod codecs {
                     Packing::Meshopt => [3, 5],
                     Packing::Zstd => [1, 1],
                 };
+                // The larger grid's stream would shrink to less than a thousandth.
+                let expected = if packing == Packing::Meshopt && side > 100 { [3, 4] } else { expected };
                 assert_eq!(codecs[codecs.len() - 2..], expected);
             }
         }

@@ -15,9 +15,11 @@ pub struct TreeLeaf<'a> {
 /// Numbers of a pass, the same for all vertices.
 #[derive(Clone, Copy)]
 struct Pass {
-    /// Texels of a row and of a block.
+    /// Texels of a row and of a block, and their inverses.
     width: f64,
     block: f64,
+    per_width: f64,
+    per_block: f64,
     row: f64,
     fraction: f32,
 }
@@ -63,7 +65,9 @@ impl<'a> TreeLeaf<'a> {
     fn pass(&self, r: RLevel) -> Pass {
         let header = &self.view.header;
         let width = f64::from(header.width.max(1));
-        Pass { width, block: width * f64::from(header.rows.max(1)), row: f64::from(r.row), fraction: r.fraction }
+        let block = width * f64::from(header.rows.max(1));
+        let (per_width, per_block) = (1.0 / width, 1.0 / block);
+        Pass { width, block, per_width, per_block, row: f64::from(r.row), fraction: r.fraction }
     }
 
     /// [`TreeLeaf::pick`] of one vertex, with the number of texels that were read.
@@ -120,23 +124,38 @@ impl<'a> TreeLeaf<'a> {
     }
 }
 
+/// 1.5 times 2^52: around it doubles are whole numbers, the lowest bits their distance from it.
+const WHOLE: f64 = (3u64 << 51) as f64;
+
+/// The whole number nearest to `x`, which is between -2^32 and 2^32: the sum rounds.
+#[inline(always)]
+fn nearest(x: f64) -> f64 {
+    (x + WHOLE) - WHOLE
+}
+
+/// A whole number from 0 to 2^32 - 1, as one; anything else gives some other one. `as` would check for those.
+#[inline(always)]
+fn whole(x: f64) -> u32 {
+    (x + WHOLE).to_bits() as u32
+}
+
 impl Pass {
     /// The position that a leaf picks, without a branch that depends on it: a second read that is not needed repeats the first.
     ///
-    /// Whole numbers below 2^24 divide exactly by a product with the inverse, half a unit added.
+    /// `a / b` of whole numbers below 2^24 is the whole number nearest to `(a + 0.5) / b - 0.5`, which is never half-way between two.
     #[inline(always)]
     fn pick<'t>(&self, leaf: &'t [f32; 4], read: impl Fn(u32) -> &'t [f32; 4]) -> [f32; 3] {
-        // Hostile pointers: what is not a number is texel 0, what is too large is caught where texels are read.
+        // Hostile pointers: what is no number or too large is caught where texels are read.
         let pointer = f64::from(leaf[3]).clamp(0.0, 16_777_215.0);
-        let block = f64::from(((pointer + 0.5) * (1.0 / self.block)) as u32);
+        let block = nearest((pointer + 0.5) * self.per_block - 0.5);
         let inside = pointer - block * self.block;
-        let terminal_row = f64::from(((inside + 0.5) * (1.0 / self.width)) as u32);
+        let terminal_row = nearest((inside + 0.5) * self.per_width - 0.5);
         // d = above + 1 - fraction: d <= 0, 0 < d <= 1 and d > 1 are above < 0, 0 and more.
         let above = terminal_row - self.row;
         let texel = pointer - above.max(0.0) * self.width;
         let below = if above >= 1.0 { texel + self.width } else { texel };
-        let hit = read(texel as u32)[3] > self.fraction;
-        let node = read(if hit { texel as u32 } else { below as u32 });
+        let hit = read(whole(texel))[3] > self.fraction;
+        let node = read(whole(if hit { texel } else { below }));
         let is_node = above >= 1.0 || (above >= 0.0 && hit);
         let [x, y, z, _] = *if is_node { node } else { leaf };
         [x, y, z]

@@ -17,7 +17,7 @@ use kiln_bench::{middle, model, name, positions_only, timed};
 use kiln_format::layout::{CompactNode, CompactTreeView, TreeHeader, TreeLeafView};
 use kiln_lod::cluster_tree::{ClusterTree, TreeLeafBuffers, TreeOptions};
 use kiln_lod::merge::{MergeOptions, merge};
-use kiln_runtime::tree::{Compact, Resolved, TreeLeaf, draw_list};
+use kiln_runtime::tree::{Compact, Resolved, Runs, TreeLeaf, draw_list};
 use rayon::prelude::*;
 
 fn main() -> ExitCode {
@@ -270,6 +270,12 @@ fn ways<'a>(built: &'a Built, twin: &'a Twin, shuffled: bool) -> Vec<Way<'a>> {
     ];
     if shuffled {
         return ways;
+    }
+    if let Some(runs) = Runs::new(&compact) {
+        ways.push((
+            "compact, runs",
+            Box::new(move |t, out| spread(out, |first, out| runs.pick(positions, t, first..first + out.len(), out))),
+        ));
     }
     ways.push((
         "naive walk up",

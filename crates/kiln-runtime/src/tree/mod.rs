@@ -1,13 +1,14 @@
 //! Tree and leaf buffers, compact tree: choosing a threshold, picking, and what to draw.
 //!
 //! A threshold t says how fine: the tree's nodes of rank below t are split, and each vertex stands where its shallowest node that is
-//! not split does, or, if all over it are split, where it is itself. Three ways to pick, one result, bit for bit:
+//! not split does, or, if all over it are split, where it is itself. Four ways to pick, one result, bit for bit:
 //!
 //! | way | over | a vertex costs | good for |
 //! | --- | --- | --- | --- |
 //! | [`TreeLeaf::pick`] | tree and leaf buffers | at most three reads | shaders; any part of the vertices |
 //! | [`Compact::pick`] | compact tree | a walk from its terminal node | shaders; small memory |
-//! | [`Resolved::pick`] | compact tree | one read, after a pass over the nodes | the CPU: the quickest there |
+//! | [`Resolved::pick`] | compact tree | one read, after a pass over the nodes | any order of vertices |
+//! | [`Runs::pick`] | compact tree, prepared | a copy | vertices in the tree's order |
 //!
 //! ```text
 //! t    <- most triangles:  the last of face_counts that is not more
@@ -25,12 +26,14 @@
 
 mod compact;
 mod draw_list;
+mod runs;
 #[cfg(test)]
 pub(crate) mod tests;
 mod tree_leaf;
 
 pub use compact::{Compact, Resolved};
 pub use draw_list::{alive_count, draw_list};
+pub use runs::Runs;
 pub use tree_leaf::TreeLeaf;
 
 use kiln_format::layout::Checkpoint;

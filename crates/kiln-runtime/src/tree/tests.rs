@@ -128,6 +128,7 @@ type Pick<'a> = dyn Fn(Range<usize>, &mut [[f32; 3]]) + 'a;
 fn all_ways_agree(built: &Built) -> Result<(), TestCaseError> {
     let count = built.positions.len();
     let (paper, compact) = (TreeLeaf::new(built.tree_leaf()), Compact::new(built.compact(), &built.positions));
+    let runs = Runs::new(&compact);
     let mut resolved = Resolved::new();
     let triangles = &built.mesh.triangles[..];
     let (mut deaths, mut others) = (vec![0; triangles.len()], vec![0; triangles.len()]);
@@ -153,6 +154,10 @@ fn all_ways_agree(built: &Built) -> Result<(), TestCaseError> {
         prop_assert!(check(&|range, out| compact.pick(t, range, out), &mut out), "walk at {}", t);
         resolved.resolve(&compact, t);
         prop_assert!(check(&|range, out| resolved.pick(&compact, range, out), &mut out), "resolved at {}", t);
+        if let Some(runs) = &runs {
+            let pick = |range, out: &mut [[f32; 3]]| runs.pick(&built.positions, t, range, out);
+            prop_assert!(check(&pick, &mut out), "runs at {}", t);
+        }
         for (v, expected) in expected.iter().enumerate() {
             let (place, reads) = paper.counted(r, v);
             prop_assert!(reads <= 3 && place.map(f32::to_bits) == *expected);
@@ -176,8 +181,11 @@ proptest! {
     }
 
     #[test]
-    fn so_they_do_with_vertices_in_the_tree_s_order(mesh in trouble()) {
-        all_ways_agree(&Built::new(in_order(&mesh)))?;
+    fn in_the_tree_s_order_there_are_runs_and_they_agree(mesh in trouble()) {
+        let built = Built::new(in_order(&mesh));
+        let compact = Compact::new(built.compact(), &built.positions);
+        prop_assert!(Runs::new(&compact).is_some());
+        all_ways_agree(&built)?;
     }
 
     #[test]
@@ -227,6 +235,10 @@ proptest! {
         let mut resolved = Resolved::new();
         resolved.resolve(&compact, threshold);
         resolved.pick(&compact, 2..25, &mut out);
+        if let Some(runs) = Runs::new(&compact) {
+            runs.pick(&positions, threshold, 0..25, &mut out);
+            runs.pick(&positions[..4], threshold, 2..25, &mut out);
+        }
         let triangles: Vec<[u32; 3]> = words.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
         let mut deaths = vec![0; triangles.len()];
         compact.deaths(&triangles, &mut deaths);

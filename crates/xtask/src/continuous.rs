@@ -24,16 +24,17 @@ pub(crate) fn run(root: &Path) -> Result<(), String> {
     let out = results.join("continuous.md");
     let args = ["--plot".into(), plot, "--picture".into(), picture, "--out".into(), out];
     bench(root, "continuous", &all, &args)?;
-    let pages = ["pick_tree", "pick_window", "clusters"].map(|name| bench(root, name, &large, &[]));
+    let pages = ["pick_tree", "pick_window", "pick_gpu", "clusters"].map(|name| bench(root, name, &large, &[]));
     let pages: Vec<String> = pages.into_iter().collect::<Result<_, _>>()?;
     fs::write(results.join("picking.md"), pages.join("\n")).map_err(|e| e.to_string())?;
     let gltfpack = root.join("tests/validator/node_modules/gltfpack/cli.js");
     let chains = [real[0].clone(), large[0].clone()];
-    let mut args: Vec<PathBuf> = vec!["--folder".into(), folder, "--out".into(), results.join("load.md")];
+    let mut args: Vec<PathBuf> = vec!["--folder".into(), folder];
     if gltfpack.is_file() {
         args.extend(["--gltfpack".into(), gltfpack]);
     }
-    bench(root, "load", &chains, &args).map(drop)
+    let pages = [bench(root, "load", &chains, &args)?, bench(root, "container", &[], &[])?];
+    fs::write(results.join("load.md"), pages.join("\n")).map_err(|e| e.to_string())
 }
 
 /// The large models, made where they are not there yet.

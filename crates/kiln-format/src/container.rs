@@ -182,7 +182,7 @@ impl<'a> Container<'a> {
     /// The first finding of [`check`] against payload.
     pub fn validate(&self) -> Result<(), FormatError> {
         let mut report = CheckReport::default();
-        self.decode(threads());
+        self.decode(threads(self.envelope.bytes.len()));
         content::examine(self, true, &mut report);
         first(report, Some(()))
     }
@@ -392,7 +392,7 @@ pub fn check(bytes: &[u8]) -> CheckReport {
     }
     let mut report = CheckReport::default();
     if let Some(container) = read(bytes, true, &mut report) {
-        container.decode(threads());
+        container.decode(threads(bytes.len()));
         content::examine(&container, true, &mut report);
     }
     report

@@ -2,11 +2,18 @@
 
 use crate::prelude::*;
 
-/// How many threads validation and decoding take: two where the machine has them, so that a loader beside a game keeps to itself.
-pub(crate) fn threads() -> usize {
+/// Below that many bytes a second thread starts later than the first is done.
+#[cfg(feature = "std")]
+const WORTH: usize = 4 << 20;
+
+/// How many threads validation and decoding of so many bytes take: two where the machine has them, so that a loader beside a game keeps
+/// to itself.
+pub(crate) fn threads(bytes: usize) -> usize {
     #[cfg(feature = "std")]
-    return std::thread::available_parallelism().map_or(1, |threads| threads.get().min(2));
-    #[cfg(not(feature = "std"))]
+    if bytes >= WORTH {
+        return std::thread::available_parallelism().map_or(1, |threads| threads.get().min(2));
+    }
+    let _ = bytes;
     1
 }
 

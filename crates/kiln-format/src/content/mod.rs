@@ -116,7 +116,7 @@ pub(crate) fn examine(container: &Container<'_>, whole: bool, report: &mut Check
     let mut states = hashes(container, whole, report);
     let mut offered = vec![false; tables.levels.len()];
     let lengths: Vec<u64> = tables.levels.iter().map(|level| u64::from(level.triangles)).collect();
-    let looked_at = spread(threads(), &lengths, |lod| {
+    let looked_at = spread(threads(envelope.bytes.len()), &lengths, |lod| {
         let needs = tables.level_needs(&tables.levels[lod]);
         let at_hand = needs.iter().all(|s| states.get(*s as usize) == Some(&State::Sound));
         let mut own = CheckReport::default();
@@ -173,7 +173,7 @@ fn hashes(container: &Container<'_>, whole: bool, report: &mut CheckReport) -> V
     let payload: Vec<usize> =
         (0..envelope.entries.len()).filter(|number| !envelope::is_table(&envelope.entries[*number])).collect();
     let lengths: Vec<u64> = payload.iter().map(|number| envelope.entries[*number].stored_length).collect();
-    let hashed = spread(threads(), &lengths, |i| {
+    let hashed = spread(threads(envelope.bytes.len()), &lengths, |i| {
         let (number, entry) = (payload[i], &envelope.entries[payload[i]]);
         let stored = envelope.section(number)?;
         Some(envelope::wrong_hash(number, entry, stored).or_else(|| match envelope.states[number] {

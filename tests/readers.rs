@@ -8,13 +8,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::LazyLock;
 
-use kiln_format::layout::{
-    Checkpoint, ClusterHeader, ClusterRecord, CompactNode, GroupRecord, TreeHeader, WindowHeader,
-};
+use kiln_format::layout::Checkpoint;
 use kiln_format::record::NONE;
 use kiln_format::{
-    AlignedBytes, ClusterView, CompactTreeView, Container, Content, ErrorKind, Layouts, LevelContent, Packing,
-    PrivateSection, Semantic, SubmeshContent, TreeLeafView, WindowView, write,
+    AlignedBytes, Container, Content, ErrorKind, Layouts, LevelContent, PrivateSection, Semantic, SubmeshContent, write,
 };
 use serde_json::Value;
 
@@ -65,9 +62,13 @@ static CONTAINERS: LazyLock<Vec<Built>> = LazyLock::new(|| {
     let space = Space::new();
     space.write("hand.kiln", by_hand());
     keep("hand", &space, "hand.kiln");
-    for (name, packing) in [("layered", Packing::Raw), ("meshopt", Packing::Meshopt), ("zstd", Packing::Zstd)] {
-        space.write(&format!("{name}.kiln"), layered(packing));
-        keep(name, &space, &format!("{name}.kiln"));
+    // Every layout, shared vertices, every codec.
+    for seed in ["layered", "meshopt", "zstd"] {
+        space.write(
+            "seed.kiln",
+            std::fs::read(repository("fuzz/seeds/container").join(format!("{seed}.kiln"))).unwrap(),
+        );
+        keep(seed, &space, "seed.kiln");
     }
     built
 });
@@ -102,123 +103,6 @@ fn by_hand() -> Vec<u8> {
         private: vec![private],
         ..Content::default()
     };
-    write(&content).unwrap()
-}
-
-/// All layouts over a fan of 254 triangles: enough that codecs pay.
-fn layered(packing: Packing) -> Vec<u8> {
-    let positions: Vec<[f32; 3]> = (0..256).map(|v| [v as f32 * 0.1, (v % 4) as f32, (v % 7) as f32]).collect();
-    let bytes: Vec<u8> = positions.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
-    // Vertices from 3 on go to the one before; a triangle dies with its last vertex.
-    let indices: Vec<u32> = (2..256).flat_map(|v| [0, v - 1, v]).collect();
-    let level = LevelContent {
-        error: 0.0,
-        error_kind: ErrorKind::Bound,
-        arrays: vec![(Semantic::Positions, &bytes)],
-        indices: &indices,
-        index_counts: vec![indices.len() as u32],
-        shares_vertices: false,
-    };
-    let triangles = 254;
-    let checkpoint = |detail, vertices, triangles, error, level| Checkpoint {
-        detail,
-        vertices,
-        triangles,
-        error,
-        level,
-        reserved: [0; 3],
-    };
-    let parents: Vec<u32> = (0..256).map(|v: u32| if v < 3 { v } else { v - 1 }).collect();
-    let window = WindowView {
-        header: WindowHeader {
-            vertices: 256,
-            triangles,
-            collapses: 253,
-            base_vertices: 3,
-            checkpoints: 3,
-            flags: 0,
-            reserved: [0; 10],
-        },
-        checkpoints: &[
-            checkpoint(0, 256, triangles, 0.0, 0),
-            checkpoint(100, 156, 154, 0.1, NONE),
-            checkpoint(253, 3, 1, 1.0 / 3.0, NONE),
-        ],
-        parents: &parents,
-        starts: &[],
-    };
-    let header = |columns, width| TreeHeader {
-        nodes: 1,
-        vertices: 256,
-        rows: 1,
-        columns,
-        width,
-        checkpoints: 2,
-        reserved: [0; 10],
-    };
-    let coarse = [checkpoint(1, 256, triangles, 0.0, 0), checkpoint(0, 1, 0, 25.5, NONE)];
-    let leaf: Vec<[f32; 4]> = positions.iter().map(|p| [p[0], p[1], p[2], 0.0]).collect();
-    let tree_leaf = TreeLeafView {
-        header: header(1, 1),
-        checkpoints: &coarse,
-        row_starts: &[0, 1],
-        face_counts: &[0, triangles],
-        tree: &[[1.0, 2.0, 3.0, 1.0]],
-        leaf: &leaf,
-    };
-    let compact_tree = CompactTreeView {
-        header: header(0, 0),
-        checkpoints: &coarse,
-        row_starts: &[0, 1],
-        face_counts: &[0, triangles],
-        nodes: &[CompactNode { position: [1.0, 2.0, 3.0], parent: 0 }],
-        terminals: &[0; 256],
-    };
-    let cluster = |first_triangle| ClusterRecord {
-        first_reference: first_triangle / 127 * 129,
-        vertex_count: 129,
-        first_triangle,
-        triangle_count: 127,
-        submesh: 0,
-        group: 0,
-        made_by: NONE,
-        level: 0,
-        sphere: [0.0, 0.0, 0.0, 100.0],
-        cone: [0.0, 0.0, 1.0, 1.0],
-    };
-    let references: Vec<u32> = (0..129).chain([0]).chain(128..256).collect();
-    let corners: Vec<u8> = (0..2).flat_map(|_| (2..129).flat_map(|v: u8| [0, v - 1, v])).collect();
-    let clusters = ClusterView {
-        header: ClusterHeader {
-            clusters: 2,
-            groups: 1,
-            levels: 1,
-            references: 258,
-            triangles,
-            vertices: 256,
-            reserved: [0; 10],
-        },
-        clusters: &[cluster(0), cluster(127)],
-        groups: &[GroupRecord {
-            sphere: [0.0, 0.0, 0.0, 101.0],
-            error: f32::MAX,
-            first_cluster: 0,
-            cluster_count: 2,
-            level: 0,
-        }],
-        references: &references,
-        corners: &corners,
-    };
-    let layouts = Layouts {
-        window: Some(window),
-        tree_leaf: Some(tree_leaf),
-        compact_tree: Some(compact_tree),
-        clusters: Some(clusters),
-    };
-    let submeshes =
-        vec![SubmeshContent { name: "fan".into(), material: None, attributes: 2, source_triangles: triangles }];
-    let content =
-        Content { source_triangles: triangles, levels: vec![level], submeshes, layouts, packing, ..Content::default() };
     write(&content).unwrap()
 }
 

@@ -9,6 +9,16 @@ const MODELS: [&str; 3] = ["scans/stanford-bunny.glb", "scans/cow.glb", "scans/a
 /// Large ones by the name that `make_large.py` knows.
 const LARGE: [&str; 2] = ["ball_1m", "terrain_3m7"];
 
+/// The head of the page on picking.
+const PICKING: &str = "\
+# Picking from layouts
+
+By `cargo xtask long continuous`. Octrees: the vertex buffer of a detail (12 bytes a vertex) on two threads, median over 20 values of r, beside
+a plain copy of as many bytes, a walk from each vertex up to its pick, and a descent from the root; vertices in the octree's order unless it says
+otherwise.
+
+";
+
 /// Writes `docs/results/continuous.md`, `picking.md` and `load.md`.
 pub(crate) fn run(root: &Path) -> Result<(), String> {
     let corpus = std::env::var_os("KILN_CORPUS").map(PathBuf::from).ok_or("the continuous layouts need KILN_CORPUS")?;
@@ -26,7 +36,8 @@ pub(crate) fn run(root: &Path) -> Result<(), String> {
     bench(root, "continuous", &all, &args)?;
     let pages = ["pick_tree", "pick_window", "pick_gpu", "clusters"].map(|name| bench(root, name, &large, &[]));
     let pages: Vec<String> = pages.into_iter().collect::<Result<_, _>>()?;
-    fs::write(results.join("picking.md"), pages.join("\n")).map_err(|e| e.to_string())?;
+    let text = format!("{PICKING}{}", pages.join("\n"));
+    fs::write(results.join("picking.md"), text).map_err(|e| e.to_string())?;
     let gltfpack = root.join("tests/validator/node_modules/gltfpack/cli.js");
     let chains = [real[0].clone(), large[0].clone()];
     let mut args: Vec<PathBuf> = vec!["--folder".into(), folder];

@@ -195,7 +195,8 @@ impl Decoded {
         let said =
             exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), true).map_err(|e| fail(e.to_string()))?;
         let size = said.headers.first().map_or(Vec2(0, 0), |header| header.layer_size);
-        let most = MAX_TREE_TEXELS.max(MAX_ELEMENTS.min(bytes.len() as u32 * 64)) as usize;
+        // Lists of zeros shrink to a hundredth and less; a small file has at most as many texels as the largest tree buffer.
+        let most = (MAX_TREE_TEXELS as usize).max(bytes.len().saturating_mul(64).min(MAX_ELEMENTS as usize));
         if size.0.checked_mul(size.1).is_none_or(|texels| texels > most) {
             return Err(fail(format!("{} x {} texels are too many", size.0, size.1)));
         }

@@ -1,8 +1,8 @@
 //! Every function that C calls, and all `unsafe` of the crate.
 //!
-//! Three things need it, each in one place: names that the linker sees (`no_mangle`), what callers point to (read in [`get`],
+//! Three things need it, each in one place: names that the linker sees (`no_mangle`), what callers point to (read in `get`,
 //! `bytes_of` and the open functions, under the contract that each function states), and a handle that holds bytes together with
-//! what borrows them ([`Handle`]). Panics end in [`caught`].
+//! what borrows them ([`Handle`]). Panics end in `caught`.
 
 #![allow(unsafe_code, reason = "the C boundary; audited as the module page says")]
 

@@ -11,7 +11,7 @@
 //! kiln_choose_level, .._by_error, .._by_triangles   the level for a view or a budget
 //! kiln_close                        frees the handle
 //! ```
-//! [`ffi`] holds the functions and all `unsafe` of the crate, [`types`] the structs, [`fill`] what goes into them; the structs of the
+//! [`ffi`] holds the functions and all `unsafe` of the crate, [`types`] the structs, `fill` what goes into them; the structs of the
 //! layouts' records are `kiln_format::layout`'s. `include/kiln.h` is generated from these (`tests/header.rs`,
 //! `KILN_BLESS=1` writes it); `examples/summary.c` shows every function.
 //!

@@ -9,7 +9,7 @@
 //! | `meshopt-index-zstd` | INDX | such a stream in a frame of zstd: triangles in the order of strips halve once more |
 //!
 //! Tables have codec `none`: they are read before anything is decoded. **Hostile bytes:** a section is refused before anything
-//! is allocated for it if its raw length is beyond what its codec can reach from its stored length ([`most_raw`]); streams are
+//! is allocated for it if its raw length is beyond what its codec can reach from its stored length (`most_raw`); streams are
 //! cut out by checked lengths, each is decoded into a buffer of exactly its array's size, and what comes out counts only if the
 //! raw hash agrees and the checks of contents pass. The meshoptimizer decoders promise memory safety on any stream for a
 //! destination of the stated size; zstd's likewise.

@@ -44,6 +44,7 @@ pub fn main() -> ExitCode {
         Command::Compare(args) => compare::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Stage(args) => stage(args.kind.as_deref()),
+        Command::CmakeModule => data(include_str!("kiln.cmake")),
     }
     .into()
 }

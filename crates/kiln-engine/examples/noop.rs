@@ -73,7 +73,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             brief: "3".into(),
             note: Vec::new(),
         };
-        let memory = Memory { key, files: vec![], folders: vec!["in".into()], groups: (0..assets).map(group).collect() };
+        let memory =
+            Memory { key, files: vec![], folders: vec!["in".into()], groups: (0..assets).map(group).collect() };
         timed("remember", || engine.remember(&plan, &report, &memory))?;
     }
     Ok(())

@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use crate::build::{Built, Session};
@@ -137,11 +137,12 @@ impl Engine {
         }
         self.learn_time();
         let (changed, settled) = self.look_closer(index, root, &closer);
-        let plan_changed = changed.iter().any(|&entry| index.owners(entry).is_empty());
+        let plan_changed = changed.iter().any(|&entry| index.entries[entry].plan || index.owners(entry).is_empty());
         if !keyed || plan_changed {
             return Look::Unknown;
         }
-        let groups: HashSet<usize> = changed.iter().flat_map(|&entry| index.owners(entry)).map(|&g| g as usize).collect();
+        let groups: HashSet<usize> =
+            changed.iter().flat_map(|&entry| index.owners(entry)).map(|&g| g as usize).collect();
         let mut groups: Vec<usize> = groups.into_iter().chain(open).collect();
         groups.sort_unstable();
         groups.dedup();

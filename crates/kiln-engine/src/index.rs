@@ -312,8 +312,14 @@ impl Index {
         let mut out = Writer(Vec::with_capacity(self.entries.len() * 128 + self.names.len() + 4096));
         out.0.extend_from_slice(HEADER);
         out.0.extend_from_slice(&[0; 32]);
-        let counts =
-            [self.names.len(), self.folders.len(), self.entries.len(), self.owners.len(), self.groups.len(), self.frames.len()];
+        let counts = [
+            self.names.len(),
+            self.folders.len(),
+            self.entries.len(),
+            self.owners.len(),
+            self.groups.len(),
+            self.frames.len(),
+        ];
         for count in counts {
             out.word(count as u32);
         }

@@ -98,7 +98,11 @@ impl Engine {
         };
         if let Some(known) = known.filter(|known| known.folder == folder) {
             let then = self.looked.get(path).copied().unwrap_or(known.stat);
-            return if then.is_some() && then == now { line(known.stat, known.content) } else { line(None, Content::Unknown) };
+            return if then.is_some() && then == now {
+                line(known.stat, known.content)
+            } else {
+                line(None, Content::Unknown)
+            };
         }
         match now {
             // It is now as it was long before the plan was made.
@@ -163,7 +167,8 @@ impl Engine {
         let all: Vec<_> = memory.groups.iter().map(|group| self.lines_of(plan, report, group)).collect();
         let assets: Vec<_> = memory.groups.iter().map(|group| self.asset_of(plan, report, group)).collect();
         self.check_plan_entries(&mut index, &plan.root);
-        let fits = numbers.iter().zip(all.iter().zip(&assets)).all(|(&g, (lines, asset))| index.fits(g, lines.keys(), asset));
+        let fits =
+            numbers.iter().zip(all.iter().zip(&assets)).all(|(&g, (lines, asset))| index.fits(g, lines.keys(), asset));
         if fits {
             for (&number, (lines, asset)) in numbers.iter().zip(all.iter().zip(&assets)) {
                 index.replace(number, lines.values(), asset);

@@ -154,8 +154,7 @@ impl Build {
         let options = self.options();
         // Where there is no cache yet there is nothing to find, and a broken pipeline shall not leave one behind.
         let may_look = !self.dry_run && self.cache_folder().is_dir();
-        let look =
-            if may_look { engine.look(&folder_of(&self.pipeline), &key, &options) } else { Look::Unknown };
+        let look = if may_look { engine.look(&folder_of(&self.pipeline), &key, &options) } else { Look::Unknown };
         if look == Look::Fresh
             && !self.debug_pictures
             && let Some(mut summary) = self.remembered(&engine)
@@ -227,11 +226,12 @@ impl Build {
     pub fn verify(&self, observer: &dyn Observer) -> Result<Verification, BuildError> {
         let planned = self.plan(None)?;
         let (engine, _) = self.engine();
-        let on_one_thread = |work: &mut (dyn FnMut() + Send)| match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
-            Ok(pool) => pool.install(work),
-            // No further thread can be had: this one does it.
-            Err(_) => work(),
-        };
+        let on_one_thread =
+            |work: &mut (dyn FnMut() + Send)| match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
+                Ok(pool) => pool.install(work),
+                // No further thread can be had: this one does it.
+                Err(_) => work(),
+            };
         Ok(engine.verify(&planned.plan, &self.options(), observer, &on_one_thread)?)
     }
 

@@ -16,7 +16,9 @@ use kiln_engine::Dependencies;
 /// A path below `root` as a build system knows it: without `.`, and without `..` where a name stands before it.
 fn place(root: &Path, path: &str) -> String {
     let full = root.join(path);
-    let full = full.to_string_lossy();
+    // `--set asset.output=PATH` names places from the current folder: so does a build system.
+    let current = std::env::current_dir().ok().filter(|_| root.is_relative());
+    let full = current.and_then(|current| full.strip_prefix(current).ok()).unwrap_or(&full).to_string_lossy();
     let mut parts: Vec<&str> = Vec::new();
     for part in full.split('/') {
         match part {
@@ -164,7 +166,15 @@ proj/a.toml:
     #[test]
     fn cargo_is_told_of_every_input() {
         let lines = cargo_lines(&example(), Path::new("."));
-        let all = ["../common.toml", "../models", "../models/a #1 $.png", "../models/jar.glb", "../models/pot.glb", "../models/tex", "a.toml"];
+        let all = [
+            "../common.toml",
+            "../models",
+            "../models/a #1 $.png",
+            "../models/jar.glb",
+            "../models/pot.glb",
+            "../models/tex",
+            "a.toml",
+        ];
         assert_eq!(lines, all.map(|path| format!("cargo:rerun-if-changed={path}")));
     }
 }

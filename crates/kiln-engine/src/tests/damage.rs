@@ -21,11 +21,17 @@ fn blob_of(toy: &Toy, content: &str) -> PathBuf {
 }
 
 fn state_file(toy: &Toy) -> PathBuf {
-    files_under(&toy.path(".kiln/v1/state")).into_iter().find(|path| path.extension() != Some("index".as_ref())).unwrap()
+    files_under(&toy.path(".kiln/v1/state"))
+        .into_iter()
+        .find(|path| path.extension() != Some("index".as_ref()))
+        .unwrap()
 }
 
 fn index_file(toy: &Toy) -> PathBuf {
-    files_under(&toy.path(".kiln/v1/state")).into_iter().find(|path| path.extension() == Some("index".as_ref())).unwrap()
+    files_under(&toy.path(".kiln/v1/state"))
+        .into_iter()
+        .find(|path| path.extension() == Some("index".as_ref()))
+        .unwrap()
 }
 
 #[test]

@@ -158,7 +158,11 @@ fn an_untouched_project_is_found_fresh_by_stats_alone_and_nothing_is_written() {
     assert_eq!(stamps(&project), before);
     let mut engine = Engine::open(project.folder.path().join(".kiln"), "project");
     let other = ContentHash::of(b"kiln 2");
-    assert_eq!(engine.look(project.folder.path(), &other, &project.options), Look::Unknown, "another key, another plan");
+    assert_eq!(
+        engine.look(project.folder.path(), &other, &project.options),
+        Look::Unknown,
+        "another key, another plan"
+    );
 }
 
 #[test]
@@ -321,7 +325,13 @@ fn what_an_index_says_is_what_was_written() {
         line("/top", None, Content::Absent, &[0]),
     ];
     let frames = vec![Frame { offset: 40, length: 7 }, Frame::default()];
-    let asset = |name: &str, frames| Asset { name: name.into(), brief: "3".into(), frames, open: name == "b", ..Asset::default() };
+    let asset = |name: &str, frames| Asset {
+        name: name.into(),
+        brief: "3".into(),
+        frames,
+        open: name == "b",
+        ..Asset::default()
+    };
     let mut index = Index::new(Some(hash), lines, &[asset("a", frames), asset("b", vec![])]);
     index.state.length = 9;
     let bytes = index.to_bytes();

@@ -30,7 +30,8 @@ fn a_stage_whose_bytes_depend_on_something_undeclared_is_named_and_no_other() {
         Ok(Outputs::new().with("same", b"same".to_vec()).with("text", text))
     });
     let found = verify(&toy, &plan);
-    let named: Vec<_> = found.inconsistent.iter().map(|one| (one.label.as_str(), one.output.as_str(), one.cached)).collect();
+    let named: Vec<_> =
+        found.inconsistent.iter().map(|one| (one.label.as_str(), one.output.as_str(), one.cached)).collect();
     assert_eq!(named, [("pot#shout", "text", false)]);
     assert_ne!(found.inconsistent[0].first, found.inconsistent[0].other);
     assert_eq!(found.compared, 3, "pack was given other bytes: nobody can blame it");

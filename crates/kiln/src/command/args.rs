@@ -108,6 +108,9 @@ pub(crate) struct BuildArgs {
     /// Build twice in scratch caches, on different numbers of threads, and fail if a stage gave other bytes for the same inputs
     #[arg(long, conflicts_with_all = ["dry_run", "depfile", "debug_images"])]
     pub(crate) verify: bool,
+    /// Build again whenever something changes that the build looked at; Ctrl-C ends it
+    #[arg(long, conflicts_with_all = ["dry_run", "verify", "json"])]
+    pub(crate) watch: bool,
     /// Draw into DIR what stages see of textures: borders and the edges that cross them for `texture-border`, regions and views for
     /// metrics that look from views
     #[arg(long, value_name = "DIR")]

@@ -1,5 +1,6 @@
 //! `kiln build`.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
@@ -9,6 +10,7 @@ use kiln_engine::{ContentHash, Inconsistency, Verification};
 use kiln_pipeline::plan::{PlanError, folder_of};
 
 use super::args::BuildArgs;
+use super::watch::{self, Once};
 use super::{complain, data, diagnostics, progress};
 use crate::build::BuildError;
 use crate::debug_images::StagePicture;
@@ -29,9 +31,20 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
     if let Err(error) = handler {
         eprintln!("warning: Ctrl-C will end the build at once: {error}");
     }
+    if !args.watch {
+        return all(args, &cancel, false).exit;
+    }
+    let mut again = false;
+    watch::run(&cancel, &mut || all(args, &cancel, std::mem::replace(&mut again, true)))
+}
+
+/// Builds every pipeline once; `again`: what is fresh still needs no word.
+fn all(args: &BuildArgs, cancel: &Arc<AtomicBool>, again: bool) -> Once {
     let mut worst = Exit::Done;
     let mut reports = Vec::new();
     let mut depfile = String::new();
+    let mut folders = BTreeSet::new();
+    let mut all_known = true;
     for pipeline in &args.pipelines {
         let mut build = args.plan.build(pipeline);
         build.jobs = args.jobs;
@@ -39,8 +52,8 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
         build.dry_run = args.dry_run;
         build.debug_pictures = args.debug_images.is_some();
         build.brief = !args.json;
-        build.dependencies = args.depfile.is_some();
-        build.cancel = Arc::clone(&cancel);
+        build.dependencies = args.depfile.is_some() || args.watch;
+        build.cancel = Arc::clone(cancel);
         let progress = progress::Progress::new(args.explain);
         if args.verify {
             let result = build.verify(&progress);
@@ -57,9 +70,14 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
                 if outcome.cancelled {
                     exit = Exit::Failed;
                 }
-                show(&outcome.summary, args.dry_run);
+                if !(again && outcome.summary.fresh) {
+                    show(&outcome.summary, args.dry_run);
+                }
                 if let Some(dependencies) = &outcome.dependencies {
                     depfile.push_str(&crate::depfile(dependencies, &folder_of(pipeline)));
+                    watch::folders(dependencies, &folder_of(pipeline), &mut folders);
+                } else {
+                    all_known = false;
                 }
                 if let Some(folder) = &args.debug_images {
                     exit = exit.max(write_pictures(folder, &outcome.pictures));
@@ -67,10 +85,14 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
                 reports.push(outcome.summary);
                 exit
             }
-            Err(error) => failed(&error),
+            Err(error) => {
+                all_known = false;
+                failed(&error)
+            }
         };
         worst = worst.max(exit);
         if worst >= Exit::Failed && !args.keep_going {
+            all_known = false;
             break;
         }
     }
@@ -88,7 +110,10 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
         };
         worst = worst.max(data(&report.expect("invariant: a summary is plain data")));
     }
-    worst
+    // A pipeline that is broken from the start is watched for its repair.
+    let pipelines = args.pipelines.iter().map(|pipeline| folder_of(pipeline)).filter(|folder| folder.is_dir());
+    folders.extend(pipelines);
+    Once { exit: worst, folders: (all_known || !again).then_some(folders) }
 }
 
 /// Says whether every stage gave the same bytes.

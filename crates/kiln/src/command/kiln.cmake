@@ -27,11 +27,15 @@ function(kiln_bake)
     list(APPEND outputs "${output}")
   endforeach()
   set(depfile "${CMAKE_CURRENT_BINARY_DIR}/${KILN_TARGET}.d")
-  # kiln leaves an output alone that would not change: without the second command it would look older than its inputs for ever.
+  # kiln leaves an output alone that would not change. Ninja knows (`restat`); to Make it would look older than its inputs for ever.
+  set(touch "")
+  if(CMAKE_GENERATOR MATCHES "Make")
+    set(touch COMMAND "${CMAKE_COMMAND}" -E touch ${outputs})
+  endif()
   add_custom_command(
     OUTPUT ${outputs}
     COMMAND "${KILN_EXECUTABLE}" build "${pipeline}" --depfile "${depfile}" ${KILN_ARGS}
-    COMMAND "${CMAKE_COMMAND}" -E touch ${outputs}
+    ${touch}
     DEPENDS "${pipeline}"
     DEPFILE "${depfile}"
     COMMENT "kiln ${KILN_PIPELINE}"

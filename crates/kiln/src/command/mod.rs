@@ -9,6 +9,7 @@ mod doctor;
 mod init;
 mod progress;
 mod textures;
+mod watch;
 mod why;
 
 use std::path::Path;

@@ -72,10 +72,14 @@ impl Example {
         assert!(said.contains("0 of 10 stages ran"), "{said}");
         assert_eq!(both(), second);
         idle("after the container came back");
+    }
+
+    /// Expects that a new match of the pipeline's glob is noticed, by the folder that it appears in.
+    fn notices_a_new_model(&self, build: &dyn Fn() -> String) {
         let model = self.space.path("assets/models/new.gltf");
         fs::copy(self.space.path("assets/models/left.gltf"), model).unwrap();
         let said = build();
-        assert!(said.contains("of 15 stages ran"), "a new match of the glob is noticed by its folder:\n{said}");
+        assert!(said.contains("of 15 stages ran"), "{said}");
     }
 }
 
@@ -85,10 +89,10 @@ fn copy(from: &Path, to: &Path) {
         let path = entry.unwrap().path();
         let target = to.join(path.file_name().unwrap());
         let built = ["out", "build", "target", ".kiln"].iter().any(|name| path.ends_with(name));
-        match path.is_dir() {
-            true if !built => copy(&path, &target),
-            true => {}
-            false => drop(fs::copy(&path, target).unwrap()),
+        if path.is_file() {
+            fs::copy(&path, target).unwrap();
+        } else if !built {
+            copy(&path, &target);
         }
     }
 }
@@ -103,7 +107,8 @@ fn tool(name: &'static str) -> Option<&'static str> {
 fn ninja_rebuilds_what_changed_by_the_depfile() {
     let Some(ninja) = tool("ninja") else { return };
     let example = Example::new("ninja");
-    example.keeps_its_promises(&|| example.run(ninja, &["-d", "explain"]));
+    // Ninja itself refuses a depfile with an output that `build.ninja` does not name: a new model needs its line there.
+    example.keeps_its_promises(&|| example.run(ninja, &[]));
 }
 
 #[test]
@@ -111,9 +116,10 @@ fn make_rebuilds_what_changed_by_the_depfile() {
     let Some(make) = tool("make") else { return };
     let example = Example::new("make");
     example.keeps_its_promises(&|| example.run(make, &[]));
+    example.notices_a_new_model(&|| example.run(make, &[]));
     // A picture that is gone is kiln's to judge, not Make's.
     fs::remove_file(example.space.path("assets/models/new.gltf")).unwrap();
-    assert!(example.run(make, &[]).contains("of 10 stages"));
+    assert!(example.run(make, &[]).contains("10 stages"));
 }
 
 #[test]

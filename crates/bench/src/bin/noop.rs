@@ -2,8 +2,8 @@
 //!
 //! `cargo build --release -p kiln && cargo run --release -p kiln-bench --bin noop -- FOLDER [ASSETS] [ROUNDS]`
 //!
-//! Makes ASSETS (10,000) models of 4 KiB in 100 folders under FOLDER, each with three stages (import, merge, pack) for `kiln build`
-//! and one `cp` for ninja, so that both have as many inputs and outputs; model 0 has a picture of its own. Builds both once, waits
+//! Makes ASSETS (10,000) models of 4 KiB in 100 folders under FOLDER, each with three stages (merge, simplify, pack; five actions with the
+//! import and the collapse) for `kiln build` and one `cp` for ninja, so that both have as many inputs and outputs; model 0 has a picture of its own. Builds both once, waits
 //! until the files are older than the clock's granularity, and times ROUNDS (9) builds without work of each, alternating, beside a
 //! loop that only stats the files. Then a model and a picture change, and the stages that run are counted.
 
@@ -22,8 +22,15 @@ output = "out/{path}.kiln"
 id = "whole"
 kind = "merge"
 [[stage]]
+id = "lods"
+kind = "simplify"
+levels = [{ keep = 1.0 }, { keep = 0.5 }]
+[[stage]]
 kind = "pack"
 "#;
+
+/// What one asset's stages come to.
+const ALL: [&str; 5] = ["import", "whole", "lods, collapse", "lods", "pack"];
 
 fn main() -> ExitCode {
     match run() {
@@ -71,8 +78,8 @@ fn run() -> Result<()> {
     let (mut models, mut pictures) = (Vec::new(), Vec::new());
     for round in 0..rounds {
         // Another asset each time, so that the one before has time to age.
-        models.push(bench.changed(&model(round + 1), &gltf(round + 1, &format!("changed {round}"), ""), 3)?);
-        pictures.push(bench.changed("models/00/0.png", &png(round as u8 + 1), 2)?);
+        models.push(bench.changed(&model(round + 1), &gltf(1_000_000 + round, "changed", ""), &ALL)?);
+        pictures.push(bench.changed("models/00/0.png", &png(round as u8 + 1), &[ALL[0], ALL[4]])?);
         std::thread::sleep(Duration::from_millis(2500));
         bench.kiln(&[])?;
     }
@@ -156,17 +163,26 @@ impl Bench {
         Ok(start.elapsed().as_secs_f64() * 1e3)
     }
 
-    /// Milliseconds of a build after a file changed, and of the stages that ran, of which there must be `stages`.
-    fn changed(&self, path: &str, bytes: &[u8], stages: usize) -> Result<(f64, f64)> {
+    /// Milliseconds of a build after a file changed, and of the stages that ran, which must be `stages`.
+    fn changed(&self, path: &str, bytes: &[u8], stages: &[&str]) -> Result<(f64, f64)> {
         fs::write(self.root.join(path), bytes)?;
         let (ms, said) = self.kiln(&[])?;
-        let expected = format!("{stages} of {} stages ran", 3 * self.assets);
+        let expected = format!("{} of {} stages ran", stages.len(), ALL.len() * self.assets);
         if !said.contains(&expected) {
             return Err(format!("expected: {expected}; kiln said: {said}").into());
         }
-        // Lines such as `12.gltf / import: 2 ms`.
-        let times = said.lines().filter_map(|line| line.strip_suffix(" ms")?.rsplit_once(": ")?.1.parse::<f64>().ok());
-        Ok((ms, times.sum()))
+        let report = Command::new(&self.kiln)
+            .args(["build", "pipeline.toml", "--backend", "cpu", "--json"])
+            .current_dir(&self.root)
+            .output()?;
+        let report = String::from_utf8(report.stdout)?;
+        let model = format!("\"{}\"", path.replace(".png", ".gltf"));
+        let asset = report.split_once(&model).ok_or("the report does not name the model")?.1;
+        let seconds = |stage: &&str| {
+            let after = asset.split_once(&format!("\"stage\": \"{stage}\""))?.1.split_once("\"seconds\": ")?.1;
+            after.split_once(',')?.0.parse::<f64>().ok()
+        };
+        Ok((ms, stages.iter().filter_map(seconds).sum::<f64>() * 1e3))
     }
 
     fn peak(&self) -> Result<String> {
@@ -189,7 +205,7 @@ fn gltf(asset: usize, name: &str, picture: &str) -> Vec<u8> {
     let mut bytes = Vec::new();
     for y in 0..side {
         for x in 0..side {
-            let height = f32::from((x * 7 + y * 3 + (asset % 5) as u16) % 5) * 0.01;
+            let height = f32::from((x * 7 + y * 3) % 5) * 0.01 + asset as f32 * 1e-6;
             for value in [f32::from(x), height, f32::from(y)] {
                 bytes.extend(value.to_le_bytes());
             }

@@ -77,6 +77,8 @@ pub struct Engine {
     pub(crate) plan_lines: Vec<Line>,
     /// The groups that the last look found changed: the plan is theirs alone.
     pub(crate) partial: Option<Vec<usize>>,
+    /// Entries that the last look looked at closer.
+    pub(crate) touched: Vec<usize>,
     /// Stats and contents that the last build saw, sorted by path.
     pub(crate) seen: Vec<(String, Seen)>,
     pub(crate) granularity: i64,
@@ -100,6 +102,7 @@ impl Engine {
             looked: BTreeMap::new(),
             plan_lines: Vec::new(),
             partial: None,
+            touched: Vec::new(),
             seen: Vec::new(),
             granularity: GRANULARITY,
         }
@@ -149,7 +152,7 @@ impl Engine {
         if groups.is_empty() {
             if settled {
                 // Stats that may stand for contents from now on spare the next look; that they cannot be kept costs time only.
-                let _ = index.write(&self.index_path, &self.store);
+                let _ = index.update(&self.index_path, &self.store, &closer, &[]);
             }
             return Look::Fresh;
         }
@@ -159,6 +162,7 @@ impl Engine {
         }
         let names = groups.iter().map(|&group| index.group_name(group).to_owned()).collect();
         self.partial = Some(groups);
+        self.touched = closer;
         Look::Changed(names)
     }
 
@@ -281,7 +285,8 @@ impl Engine {
             let old = self.index.iter().flatten().filter(|_| !report.succeeded()).flat_map(Index::lines);
             let old = old.filter(|line| !line.plan && self.seen_of(&line.path).is_none());
             let old = old.map(|line| Line { owners: Vec::new(), ..line });
-            let memo = Index::new(None, self.seen.iter().map(|(path, seen)| seen.line(path)).chain(old).collect(), &[]);
+            let mut memo =
+                Index::new(None, self.seen.iter().map(|(path, seen)| seen.line(path)).chain(old).collect(), &[]);
             // What the plan was made of is known until `remember` says what it is made of now.
             self.plan_lines = self.index.iter().flatten().flat_map(Index::lines).filter(|line| line.plan).collect();
             if self.index.as_ref().and_then(Option::as_ref) != Some(&memo) {
@@ -305,7 +310,8 @@ impl Engine {
     pub(crate) fn lie(&mut self, path: &str, stat: Stat, hash: ContentHash) {
         self.store.prepare().expect("a writable folder");
         let line = Seen { hash: Some(hash), stat: Some(stat) }.line(path);
-        Index::new(None, vec![line], &[]).write(&self.index_path, &self.store).expect("a writable folder");
+        let mut memo = Index::new(None, vec![line], &[]);
+        memo.write(&self.index_path, &self.store).expect("a writable folder");
     }
 }
 

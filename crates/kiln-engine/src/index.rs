@@ -9,10 +9,13 @@
 //! owners   group numbers
 //! groups   { name, brief, note, first frame, flags }    an asset: its actions' frames, what to say of it
 //! frames   { offset, length }                           in the state file
+//! patches  { length, first 8 bytes of the digest above, BLAKE3 }, the state file, { number, entry }, { number, group, frames }
 //! ```
 //!
-//! One file, read once into flat arrays and replaced as a whole: a build that finds all as it was opens nothing else. Losing it
-//! costs time only, and so does an index of another moment than the state file: `state.rs` looks closer then.
+//! One file, read once into flat arrays: a build that finds all as it was opens nothing else, and one that changes few entries
+//! appends a patch. It is replaced as a whole where files come or go, or patches amount to a quarter of it. A torn or foreign patch
+//! ends the reading. Losing the file costs time only, and so does an index of another moment than the state file: `state.rs` looks
+//! closer then.
 
 use std::fs;
 use std::path::Path;
@@ -23,8 +26,10 @@ use crate::hash::ContentHash;
 use crate::store::Store;
 
 const HEADER: &[u8; 16] = b"kiln index 1\n\0\0\0";
-/// Header and digest.
-const BODY: usize = 16 + 32;
+/// Header, length and digest of what lies between here and the patches.
+const BODY: usize = 16 + 8 + 32;
+/// Length, base, digest.
+const PATCH: usize = 4 + 8 + 32;
 
 /// A part of the names.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -97,9 +102,20 @@ pub(crate) struct StateMark {
     pub(crate) compact: u64,
 }
 
+/// Where an index lies in its file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Place {
+    /// First bytes of the digest of all but the patches.
+    base: [u8; 8],
+    /// Length without patches, and with them, bytes.
+    whole: u64,
+    end: u64,
+}
+
 /// The file in memory.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Index {
+    place: Place,
     /// Digest of all that makes the plan and is no file; `None`: a memo of contents only.
     pub(crate) key: Option<ContentHash>,
     pub(crate) state: StateMark,
@@ -139,6 +155,20 @@ fn split(path: &str) -> (&str, &str) {
         // A file in the file system's root keeps its slash.
         Some(("", _)) | None => ("", path),
         Some(parts) => parts,
+    }
+}
+
+impl PartialEq for Index {
+    /// Whether they say the same, wherever they lie.
+    fn eq(&self, other: &Index) -> bool {
+        self.key == other.key
+            && self.state == other.state
+            && self.names == other.names
+            && self.folders == other.folders
+            && self.entries == other.entries
+            && self.owners == other.owners
+            && self.groups == other.groups
+            && self.frames == other.frames
     }
 }
 
@@ -241,9 +271,10 @@ impl Index {
         &self.owners
     }
 
-    /// Replaces what is said of a group; `asset` has as many frames as it.
-    pub(crate) fn set_group(&mut self, group: usize, asset: &Asset) {
-        if self.brief(group) != asset.brief {
+    /// Replaces what is said of a group; `asset` has as many frames as it. Gives whether a patch can say so.
+    pub(crate) fn set_group(&mut self, group: usize, asset: &Asset) -> bool {
+        let same = self.brief(group) == asset.brief;
+        if !same {
             self.groups[group].brief = self.push_text(&asset.brief);
         }
         (self.groups[group].note, self.groups[group].open) = (asset.note, asset.open);
@@ -251,6 +282,7 @@ impl Index {
         if let Some(frames) = self.frames.get_mut(first..first + asset.frames.len()) {
             frames.copy_from_slice(&asset.frames);
         }
+        same
     }
 
     /// A group's name.
@@ -303,15 +335,93 @@ impl Index {
     }
 
     /// Replaces the index at `path`.
-    pub(crate) fn write(&self, path: &Path, store: &Store) -> Result<(), IoError> {
-        let temporary = store.write_temporary(&[&self.to_bytes()], false)?;
-        disk::rename(&temporary, path)
+    pub(crate) fn write(&mut self, path: &Path, store: &Store) -> Result<(), IoError> {
+        let bytes = self.to_bytes();
+        let temporary = store.write_temporary(&[&bytes], false)?;
+        disk::rename(&temporary, path)?;
+        self.place = Place::of(&bytes, bytes.len() as u64);
+        Ok(())
+    }
+
+    /// Writes these entries and groups as a patch behind the index at `path`, or all of it where that will not do.
+    ///
+    /// Builders that patch one file at the same moment leave claims of both: each holds for what its own saw.
+    pub(crate) fn update(
+        &mut self,
+        path: &Path,
+        store: &Store,
+        entries: &[usize],
+        groups: &[usize],
+    ) -> Result<(), IoError> {
+        let patch = self.patch(entries, groups);
+        let end = self.place.end + patch.len() as u64;
+        let fits = self.place.whole > 0 && end - self.place.whole <= self.place.whole / 4;
+        if !fits || fs::metadata(path).map_or(0, |metadata| metadata.len()) != self.place.end {
+            return self.write(path, store);
+        }
+        disk::append(path, &patch)?;
+        self.place.end = end;
+        Ok(())
+    }
+
+    pub(crate) fn patch(&self, entries: &[usize], groups: &[usize]) -> Vec<u8> {
+        let mut out = Writer(vec![0; PATCH]);
+        out.mark(self.state);
+        out.word(entries.len() as u32);
+        for &entry in entries {
+            out.word(entry as u32);
+            out.entry(&self.entries[entry]);
+        }
+        out.word(groups.len() as u32);
+        for &group in groups {
+            out.word(group as u32);
+            out.group(&self.groups[group]);
+            let frames = self.frames(group);
+            out.word(frames.len() as u32);
+            frames.iter().for_each(|frame| out.frame(*frame));
+        }
+        let length = (out.0.len() - PATCH) as u32;
+        let seal = ContentHash::of(&out.0[PATCH..]);
+        out.0[..4].copy_from_slice(&length.to_le_bytes());
+        out.0[4..12].copy_from_slice(&self.place.base);
+        out.0[12..PATCH].copy_from_slice(&seal.0);
+        out.0
+    }
+
+    /// Takes in the patch that `bytes` begin with; gives its length.
+    fn take_patch(&mut self, bytes: &[u8]) -> Option<u64> {
+        let mut reader = Reader(bytes);
+        let length = reader.word()? as usize;
+        let base = reader.take(8)?;
+        let seal = reader.hash()?;
+        let body = reader.take(length)?;
+        if base != self.place.base || seal != ContentHash::of(body) {
+            return None;
+        }
+        let mut reader = Reader(body);
+        self.state = reader.mark()?;
+        for _ in 0..reader.word()? {
+            let number = reader.word()? as usize;
+            *self.entries.get_mut(number)? = reader.entry()?;
+        }
+        for _ in 0..reader.word()? {
+            let number = reader.word()? as usize;
+            *self.groups.get_mut(number)? = reader.group()?;
+            let first = self.groups[number].first_frame as usize;
+            let count = reader.word()? as usize;
+            for frame in self.frames.get_mut(first..first.checked_add(count)?)? {
+                *frame = reader.frame()?;
+            }
+        }
+        Some((PATCH + length) as u64)
     }
 
     pub(crate) fn to_bytes(&self) -> Vec<u8> {
-        let mut out = Writer(Vec::with_capacity(self.entries.len() * 128 + self.names.len() + 4096));
+        let lists = self.entries.len() * ENTRY + (self.owners.len() + 9) * 4 + self.folders.len() * 12;
+        let assets = self.groups.len() * GROUP + self.frames.len() * 12;
+        let mut out = Writer(Vec::with_capacity(BODY + self.names.len() + lists + assets + 64));
         out.0.extend_from_slice(HEADER);
-        out.0.extend_from_slice(&[0; 32]);
+        out.0.extend_from_slice(&[0; BODY - HEADER.len()]);
         let counts = [
             self.names.len(),
             self.folders.len(),
@@ -325,9 +435,7 @@ impl Index {
         }
         out.word(self.key.is_some() as u32);
         out.0.extend_from_slice(&self.key.map_or([0; 32], |key| key.0));
-        for number in [self.state.generation, self.state.length, self.state.compact] {
-            out.long(number);
-        }
+        out.mark(self.state);
         out.0.extend_from_slice(self.names.as_bytes());
         for folder in &self.folders {
             out.span(folder.name);
@@ -340,25 +448,36 @@ impl Index {
             out.word(*owner);
         }
         for group in &self.groups {
-            out.span(group.name);
-            out.span(group.brief);
-            out.frame(group.note);
-            out.word(group.first_frame);
-            out.word(group.open as u32);
+            out.group(group);
         }
         for frame in &self.frames {
             out.frame(*frame);
         }
+        let length = (out.0.len() - BODY) as u64;
+        out.0[16..24].copy_from_slice(&length.to_le_bytes());
         let seal = ContentHash::of(&out.0[BODY..]);
-        out.0[16..BODY].copy_from_slice(&seal.0);
+        out.0[24..BODY].copy_from_slice(&seal.0);
         out.0
     }
 
     pub(crate) fn of_bytes(bytes: &[u8]) -> Option<Index> {
-        let body = bytes.get(BODY..)?;
-        if bytes[..16] != *HEADER || bytes[16..BODY] != ContentHash::of(body).0 {
+        let mut header = Reader(bytes.strip_prefix(HEADER)?);
+        let length = usize::try_from(header.long()?).ok()?;
+        let seal = header.hash()?;
+        let body = header.take(length)?;
+        if seal != ContentHash::of(body) {
             return None;
         }
+        let mut index = Index::of_body(body)?;
+        let whole = BODY + length;
+        index.place = Place::of(bytes, whole as u64);
+        while let Some(length) = bytes.get(index.place.end as usize..).and_then(|rest| index.take_patch(rest)) {
+            index.place.end += length;
+        }
+        Some(index)
+    }
+
+    fn of_body(body: &[u8]) -> Option<Index> {
         let mut reader = Reader(body);
         let mut counts = [0; 6];
         for count in &mut counts {
@@ -367,7 +486,7 @@ impl Index {
         let [names, folders, entries, owners, groups, frames] = counts;
         let has_key = reader.word()? == 1;
         let key = reader.hash()?;
-        let state = StateMark { generation: reader.long()?, length: reader.long()?, compact: reader.long()? };
+        let state = reader.mark()?;
         let mut index = Index {
             key: has_key.then_some(key),
             state,
@@ -378,10 +497,7 @@ impl Index {
         index.folders = reader.list(folders, 12, |r| Some(Folder { name: r.span()?, first: r.word()? }))?;
         index.entries = reader.list(entries, ENTRY, Reader::entry)?;
         index.owners = reader.list(owners, 4, Reader::word)?;
-        index.groups = reader.list(groups, 36, |r| {
-            let (name, brief, note) = (r.span()?, r.span()?, r.frame()?);
-            Some(Group { name, brief, note, first_frame: r.word()?, open: r.word()? == 1 })
-        })?;
+        index.groups = reader.list(groups, GROUP, Reader::group)?;
         index.frames = reader.list(frames, 12, Reader::frame)?;
         (reader.0.is_empty() && index.is_sound()).then_some(index)
     }
@@ -397,6 +513,17 @@ impl Index {
 
 /// Bytes of an entry.
 const ENTRY: usize = 8 + 8 + 40 + 32 + 4;
+/// Bytes of a group.
+const GROUP: usize = 8 + 8 + 12 + 4 + 4;
+
+impl Place {
+    /// Of an index of `whole` bytes without patches, which `bytes` begin with.
+    fn of(bytes: &[u8], whole: u64) -> Place {
+        let mut base = [0; 8];
+        base.copy_from_slice(&bytes[24..32]);
+        Place { base, whole, end: whole }
+    }
+}
 
 struct Writer(Vec<u8>);
 
@@ -417,6 +544,20 @@ impl Writer {
     fn frame(&mut self, frame: Frame) {
         self.long(frame.offset);
         self.word(frame.length);
+    }
+
+    fn mark(&mut self, mark: StateMark) {
+        for number in [mark.generation, mark.length, mark.compact] {
+            self.long(number);
+        }
+    }
+
+    fn group(&mut self, group: &Group) {
+        self.span(group.name);
+        self.span(group.brief);
+        self.frame(group.note);
+        self.word(group.first_frame);
+        self.word(group.open as u32);
     }
 
     fn entry(&mut self, entry: &Entry) {
@@ -464,6 +605,15 @@ impl<'a> Reader<'a> {
 
     fn frame(&mut self) -> Option<Frame> {
         Some(Frame { offset: self.long()?, length: self.word()? })
+    }
+
+    fn mark(&mut self) -> Option<StateMark> {
+        Some(StateMark { generation: self.long()?, length: self.long()?, compact: self.long()? })
+    }
+
+    fn group(&mut self) -> Option<Group> {
+        let (name, brief, note) = (self.span()?, self.span()?, self.frame()?);
+        Some(Group { name, brief, note, first_frame: self.word()?, open: self.word()? == 1 })
     }
 
     fn entry(&mut self) -> Option<Entry> {

@@ -35,6 +35,9 @@ pub struct AssetFiles {
     pub absent: Vec<String>,
 }
 
+/// An index, and the entries and groups by which a patch can tell it from the one in the file.
+type Patched = (Index, Option<(Vec<usize>, Vec<usize>)>);
+
 impl Engine {
     /// After a build: lets [`Engine::look`] answer from now on. Assets that were not finished are built again whatever their files
     /// say; a cancelled build is not remembered. After [`Look::Changed`](crate::Look::Changed), `memory` names the changed assets
@@ -53,14 +56,17 @@ impl Engine {
             self.state.keep_notes(&memory.groups.iter().map(|group| group.name.as_str()).collect());
         }
         self.state.save(&self.store, &HashSet::new(), false)?;
-        let index = match self.partial.take() {
-            None => Some(self.index_of_all(plan, report, memory)),
-            Some(_) => self.index.take().flatten().and_then(|index| self.patched(index, plan, report, memory)),
+        let mark = self.state.mark();
+        let (mut index, patch) = match (self.partial.take(), self.index.take().flatten()) {
+            (Some(groups), Some(index)) => self.patched(index, &groups, plan, report, memory),
+            (Some(_), None) => (Index::default(), None),
+            (None, _) => (self.index_of_all(plan, report, memory), None),
         };
-        // Where the changed assets do not fit what was known, the next build looks closer.
-        let mut index = index.unwrap_or_default();
-        index.state = self.state.mark();
-        let written = index.write(&self.index_path, &self.store);
+        index.state = mark;
+        let written = match patch {
+            Some((entries, groups)) => index.update(&self.index_path, &self.store, &entries, &groups),
+            None => index.write(&self.index_path, &self.store),
+        };
         self.index = Some(Some(index));
         written
     }
@@ -159,21 +165,34 @@ impl Engine {
         }
     }
 
-    /// The index with the groups of `memory` as they are now; `None` if it does not know one of them.
-    fn patched(&self, mut index: Index, plan: &Plan, report: &BuildReport, memory: &Memory) -> Option<Index> {
-        let numbers: BTreeMap<&str, usize> = (0..index.groups.len()).map(|g| (index.group_name(g), g)).collect();
+    /// The index with the groups of `memory`, which are `known`, as they are now; the numbers of the entries and groups that are
+    /// not as they were, if a patch can say so.
+    fn patched(
+        &self,
+        mut index: Index,
+        known: &[usize],
+        plan: &Plan,
+        report: &BuildReport,
+        memory: &Memory,
+    ) -> Patched {
+        let numbers: BTreeMap<&str, usize> = known.iter().map(|&group| (index.group_name(group), group)).collect();
         let numbers: Option<Vec<usize>> = memory.groups.iter().map(|g| numbers.get(g.name.as_str()).copied()).collect();
-        let numbers = numbers?;
+        let numbers = numbers.filter(|numbers| numbers.len() == known.len());
+        // Where the assets are not those that were found changed, nothing is known: the next build looks closer.
+        let Some(numbers) = numbers else { return (Index::default(), None) };
         let all: Vec<_> = memory.groups.iter().map(|group| self.lines_of(plan, report, group)).collect();
         let assets: Vec<_> = memory.groups.iter().map(|group| self.asset_of(plan, report, group)).collect();
-        self.check_plan_entries(&mut index, &plan.root);
+        let mut entries = self.check_plan_entries(&mut index, &plan.root);
+        entries.extend_from_slice(&self.touched);
         let fits =
             numbers.iter().zip(all.iter().zip(&assets)).all(|(&g, (lines, asset))| index.fits(g, lines.keys(), asset));
         if fits {
+            let mut patch = true;
             for (&number, (lines, asset)) in numbers.iter().zip(all.iter().zip(&assets)) {
-                index.replace(number, lines.values(), asset);
+                entries.extend(index.replace(lines.values()));
+                patch &= index.set_group(number, asset);
             }
-            return Some(index);
+            return (index, patch.then_some((entries, numbers)));
         }
         // Other files than before: all is laid out anew.
         let mut every = index.assets();
@@ -188,20 +207,23 @@ impl Engine {
             lines.splice(0..0, owned);
             every[number] = asset;
         }
-        Some(Index::new(index.key, lines, &every))
+        (Index::new(index.key, lines, &every), None)
     }
 
-    /// What makes the plan must be as it was when it was looked at, or it is not known.
-    fn check_plan_entries(&self, index: &mut Index, root: &Path) {
+    /// What makes the plan must be as it was when it was looked at, or it is not known. Gives the entries that are not.
+    fn check_plan_entries(&self, index: &mut Index, root: &Path) -> Vec<usize> {
+        let mut moved = Vec::new();
         for entry in 0..index.entries.len() {
             if index.entries[entry].plan {
                 let path = index.path(entry);
                 let then = self.looked.get(&path).copied().unwrap_or(index.entries[entry].stat);
                 if then.is_none() || noop::stat(&root.join(&path)).ok().flatten() != then {
                     (index.entries[entry].stat, index.entries[entry].content) = (None, Content::Unknown);
+                    moved.push(entry);
                 }
             }
         }
+        moved
     }
 
     /// What the last build, or the one before a fresh look, left of each asset: its name and its short text, in the plan's order.
@@ -265,13 +287,16 @@ impl Index {
         count == paths.len() && self.frames(group).len() == asset.frames.len() && paths.into_iter().all(owned)
     }
 
-    /// Replaces what is known of a group that fits.
-    fn replace<'a>(&mut self, group: usize, lines: impl Iterator<Item = &'a Line>, asset: &Asset) {
+    /// Replaces what is known of files that are all there; gives their numbers.
+    fn replace<'a>(&mut self, lines: impl Iterator<Item = &'a Line>) -> Vec<usize> {
+        let mut replaced = Vec::new();
         for line in lines {
-            if let Some(entry) = self.find(&line.path).map(|entry| &mut self.entries[entry]) {
+            if let Some(number) = self.find(&line.path) {
+                let entry = &mut self.entries[number];
                 (entry.stat, entry.content) = (line.stat, line.content);
+                replaced.push(number);
             }
         }
-        self.set_group(group, asset);
+        replaced
     }
 }

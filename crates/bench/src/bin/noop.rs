@@ -47,6 +47,9 @@ fn run() -> Result<()> {
     let root = PathBuf::from(args.next().ok_or("noop FOLDER [ASSETS] [ROUNDS]")?);
     let assets: usize = args.next().map_or(Ok(10_000), |n| n.parse())?;
     let rounds: usize = args.next().map_or(Ok(9), |n| n.parse())?;
+    if root.join(".kiln").exists() {
+        return Err("FOLDER has been built in: what changes would come out of its cache".into());
+    }
     fs::create_dir_all(&root)?;
     let bench = Bench { kiln: env::current_exe()?.with_file_name("kiln"), root: root.canonicalize()?, assets };
     bench.make()?;

@@ -341,9 +341,71 @@ fn what_an_index_says_is_what_was_written() {
     let found = read.find("in/a").unwrap();
     assert_eq!((read.path(found).as_str(), read.owners(found)), ("in/a", &[0, 1][..]));
     assert_eq!(Index::new(read.key, read.lines(), &read.assets()).entries, index.entries);
+    // A patch changes what it names; a torn one, or one of another base, is as if it were not.
+    let mut later = read.clone();
+    later.entries[found].content = Content::Unknown;
+    (later.groups[1].open, later.state.generation) = (false, 7);
+    let folder = tempfile::tempdir().unwrap();
+    let (path, store) = (folder.path().join("index"), crate::store::Store::new(folder.path().join("cache")));
+    store.prepare().unwrap();
+    let mut base = read.clone();
+    base.write(&path, &store).unwrap();
+    let mut patched = Index::read(&path).unwrap();
+    patched.entries.clone_from(&later.entries);
+    patched.groups.clone_from(&later.groups);
+    patched.state = later.state;
+    // So short an index is never patched by `update`: by hand, then.
+    let whole = fs::read(&path).unwrap();
+    fs::write(&path, [&whole[..], &patched.patch(&[found], &[1])].concat()).unwrap();
+    assert_eq!(Index::read(&path).unwrap(), later);
+    let with_patch = fs::read(&path).unwrap();
+    for at in whole.len()..with_patch.len() {
+        let mut flipped = with_patch.clone();
+        flipped[at] ^= 1;
+        assert_eq!(Index::of_bytes(&flipped).unwrap(), read, "byte {at}");
+        assert_eq!(Index::of_bytes(&with_patch[..at]).unwrap(), read, "cut at {at}");
+    }
     for at in 0..bytes.len() {
         let mut flipped = bytes.clone();
         flipped[at] ^= 1;
         assert!(Index::of_bytes(&flipped).is_none() && Index::of_bytes(&bytes[..at]).is_none(), "byte {at}");
     }
+}
+
+#[test]
+fn a_long_index_is_patched_until_patches_are_a_quarter_of_it() {
+    let line = |number: usize| Line {
+        path: format!("in/{number}"),
+        stat: None,
+        content: Content::Absent,
+        plan: false,
+        folder: false,
+        output: false,
+        owners: vec![0],
+    };
+    let asset = Asset { name: "a".into(), frames: vec![Frame::default()], ..Asset::default() };
+    let folder = tempfile::tempdir().unwrap();
+    let (path, store) = (folder.path().join("index"), crate::store::Store::new(folder.path().join("cache")));
+    store.prepare().unwrap();
+    let mut index = Index::new(None, (0..100).map(line).collect(), &[asset]);
+    index.write(&path, &store).unwrap();
+    let whole = fs::metadata(&path).unwrap().len();
+    let (mut longest, mut replaced) = (whole, 0);
+    for round in 0..100_u8 {
+        index.entries[usize::from(round)].content = Content::Hash(ContentHash([round; 32]));
+        index.groups[0].open = round % 2 == 0;
+        index.update(&path, &store, &[round.into()], &[0]).unwrap();
+        let length = fs::metadata(&path).unwrap().len();
+        replaced += u32::from(length == whole);
+        longest = longest.max(length);
+        assert_eq!(Index::read(&path).unwrap(), index, "round {round}");
+        if round == 50 {
+            // Another builder's patch, or a torn one: the file is not the one that is known.
+            fs::write(&path, [fs::read(&path).unwrap(), vec![1, 2, 3]].concat()).unwrap();
+        }
+    }
+    assert!(
+        longest > whole && longest <= whole + whole / 4 && (2..30).contains(&replaced),
+        "{whole} {longest} {replaced}"
+    );
 }

@@ -7,6 +7,7 @@
 mod space;
 
 mod bake;
+mod buildsystems;
 mod command;
 mod compare;
 mod container;

@@ -229,3 +229,218 @@ pub(crate) fn cache_files(space: &Space) -> Vec<(String, Vec<u8>)> {
     found.sort();
     found
 }
+
+/// A pipeline over all models of `models/`, without atlas and bake.
+const MANY: &str = r#"
+kiln = 1
+[asset]
+input = "models/*.gltf"
+output = "out/{name}.kiln"
+[[stage]]
+id = "whole"
+kind = "merge"
+[[stage]]
+id = "lods"
+kind = "simplify"
+levels = [{ keep = 1.0 }, { keep = 0.5 }]
+[[stage]]
+kind = "pack"
+"#;
+
+fn many() -> Space {
+    let space = Space::new();
+    space.write("pipeline.toml", MANY);
+    for name in ["a", "b", "c"] {
+        space.write(&format!("models/{name}.gltf"), quad_gltf(name));
+    }
+    space.build();
+    // What makes the plan was too young to be known; it is now.
+    assert_ran(&space.build(), &[]);
+    assert_ran(&space.build(), &[]);
+    space
+}
+
+/// The assets of which a stage ran or the output was written.
+fn touched(report: &Value) -> Vec<&str> {
+    let assets = report["assets"].as_array().unwrap().iter();
+    let done = |asset: &&Value| {
+        asset["state"] == "written" || asset["stages"].as_array().unwrap().iter().any(|stage| stage["state"] == "ran")
+    };
+    assets.filter(done).map(|asset| asset["input"].as_str().unwrap()).collect()
+}
+
+#[test]
+fn one_changed_model_of_several_runs_its_own_stages_and_the_others_are_still_told_of() {
+    let space = many();
+    space.write("models/b.gltf", quad_gltf("bee"));
+    let report = space.build();
+    assert_eq!(touched(&report), ["models/b.gltf"]);
+    assert_ran(&report, &["import", "pack"]);
+    let named: Vec<_> = report["assets"].as_array().unwrap().iter().map(|a| a["input"].as_str().unwrap()).collect();
+    assert_eq!(named, ["models/a.gltf", "models/b.gltf", "models/c.gltf"]);
+    assert_eq!(report["assets"][0]["stages"].as_array().unwrap().len(), 5, "{report:#}");
+    let said = space.run(["build", "pipeline.toml", "--backend", "cpu"]).expect(0).stderr;
+    assert!(said.contains("nothing to do, 3 assets and 15 stages are fresh"), "{said}");
+    space.write("models/c.gltf", quad_gltf("sea"));
+    let said = space.run(["build", "pipeline.toml", "--backend", "cpu"]).expect(0).stderr;
+    assert!(said.contains("2 of 15 stages ran") && !said.contains("a.gltf"), "{said}");
+}
+
+#[test]
+fn a_new_and_a_removed_model_are_noticed_by_the_listing() {
+    let space = many();
+    space.write("models/d.gltf", quad_gltf("d"));
+    assert_eq!(touched(&space.build()), ["models/d.gltf"]);
+    fs::remove_file(space.path("models/a.gltf")).unwrap();
+    let report = space.build();
+    assert!(touched(&report).is_empty());
+    assert_eq!(report["assets"].as_array().unwrap().len(), 3);
+}
+
+#[test]
+fn a_changed_parent_pipeline_reaches_what_it_changes() {
+    let space = Space::new();
+    space.write("common.toml", MANY);
+    space.write("pipeline.toml", "kiln = 1\nbase = \"common.toml\"\n");
+    space.write("models/a.gltf", quad_gltf("a"));
+    space.build();
+    space.build();
+    assert_ran(&space.build(), &[]);
+    space.write("common.toml", format!("# a comment\n{MANY}"));
+    assert_ran(&space.build(), &[]);
+    space.write("common.toml", MANY.replace("keep = 0.5", "keep = 0.4"));
+    assert_ran(&space.build(), &["lods", "pack"]);
+}
+
+#[test]
+fn an_external_buffer_and_a_material_library_are_inputs() {
+    let space = Space::new();
+    space.write("pipeline.toml", MANY.replace(", { keep = 0.5 }", "").replace("*.gltf", "*.*"));
+    let triangle = |height: f32| [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, height, 0.0]];
+    space.gltf("models/b", &triangle(1.0), None, &[[0, 1, 2]]);
+    // The buffer lies beside the pipeline, as the helper writes it.
+    let text = String::from_utf8(space.read("models/b.gltf")).unwrap();
+    space.write("models/b.gltf", text.replace("data.bin", "parts/data.bin"));
+    space.write("models/parts/data.bin", space.read("data.bin"));
+    space.write("models/o.obj", "mtllib parts/o.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n");
+    space.write("models/parts/o.mtl", "newmtl red\nKd 1 0 0\n");
+    space.build();
+    space.build();
+    assert!(touched(&space.build()).is_empty());
+    space.gltf("models/b", &triangle(2.0), None, &[[0, 1, 2]]);
+    space.write("models/b.gltf", text.replace("data.bin", "parts/data.bin"));
+    space.write("models/parts/data.bin", space.read("data.bin"));
+    assert_eq!(touched(&space.build()), ["models/b.gltf"]);
+    space.write("models/parts/o.mtl", "newmtl red\nKd 1 1 0\n");
+    assert_eq!(touched(&space.build()), ["models/o.obj"]);
+    let depfile = space.path("all.d");
+    space.run(["build", "pipeline.toml", "--backend", "cpu", "--depfile", "all.d"]).expect(0);
+    let text = fs::read_to_string(&depfile).unwrap();
+    for path in
+        ["pipeline.toml", "models", "models/b.gltf", "models/parts/data.bin", "models/o.obj", "models/parts/o.mtl"]
+    {
+        assert!(text.lines().any(|line| line.trim_start().trim_end_matches(" \\") == path), "{path} is not in\n{text}");
+    }
+    let stamp = fs::metadata(&depfile).unwrap().modified().unwrap();
+    space.run(["build", "pipeline.toml", "--backend", "cpu", "--depfile", "all.d"]).expect(0);
+    assert_eq!(fs::metadata(&depfile).unwrap().modified().unwrap(), stamp, "written only if it differs");
+    fs::remove_file(&depfile).unwrap();
+    space.run(["build", "pipeline.toml", "--backend", "cpu", "--depfile", "all.d"]).expect(0);
+    assert_eq!(fs::read_to_string(&depfile).unwrap(), text, "a build without work writes it too");
+}
+
+#[test]
+fn a_dry_run_as_json_prints_the_pipeline_with_all_defaults_for_each_model() {
+    let space = Space::new();
+    space.write("common.toml", MANY);
+    let over = "[[override]]\nmatch = \"b.gltf\"\nset = { \"stage.lods.levels\" = [{ keep = 0.3 }] }\n";
+    space.write("pipeline.toml", format!("kiln = 1\nbase = \"common.toml\"\n{over}"));
+    for name in ["a", "b"] {
+        space.write(&format!("models/{name}.gltf"), quad_gltf(name));
+    }
+    let report = space.run(["build", "pipeline.toml", "--dry-run", "--json", "--backend", "cpu"]).expect(0).json();
+    let resolved = |asset: usize| report["assets"][asset]["resolved"].as_str().unwrap();
+    assert!(resolved(0).contains("placement") && resolved(0).contains("0.5"), "{}", resolved(0));
+    assert!(resolved(1).contains("0.3") && !resolved(1).contains("0.5 }"), "{}", resolved(1));
+}
+
+#[test]
+fn a_failed_model_fails_each_build_and_keeps_no_other_from_being_fresh() {
+    let space = many();
+    space.write("models/b.gltf", "{}");
+    for _ in 0..2 {
+        let ran = space.run(["build", "pipeline.toml", "--backend", "cpu", "--keep-going"]).expect(2);
+        assert!(ran.stderr.contains("b.gltf"), "{}", ran.stderr);
+    }
+    space.write("models/b.gltf", quad_gltf("b"));
+    space.run(["build", "pipeline.toml", "--backend", "cpu"]).expect(0);
+    assert_ran(&space.build(), &[]);
+}
+
+#[test]
+fn verify_finds_the_stages_consistent_and_writes_nothing() {
+    let space = small("cube.glb");
+    let said = space.run(["build", "pipeline.toml", "--backend", "cpu", "--verify"]).expect(0).stderr;
+    assert!(said.contains("9 stages ran twice, 0 of them gave other bytes"), "{said}");
+    assert!(!space.path("out/model.kiln").exists());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_build_that_is_interrupted_leaves_nothing_half() {
+    use std::io::{BufRead, BufReader};
+    use std::process::{Command, Stdio};
+
+    let clean = small("boundary-pair.glb");
+    clean.build();
+    let expected = clean.read("out/model.kiln");
+    let mut interrupted = 0;
+    for stage in ["import", "atlas", "bake"] {
+        let space = small("boundary-pair.glb");
+        let mut command = space.command(["build", "pipeline.toml", "--backend", "cpu", "--explain"]);
+        let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
+        let mut said = BufReader::new(child.stderr.take().unwrap()).lines();
+        let begins = format!("/ {stage}: runs");
+        let began = said.by_ref().map_while(Result::ok).any(|line| line.contains(&begins));
+        assert!(began, "{stage} never began");
+        Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+        let rest: Vec<String> = said.map_while(Result::ok).collect();
+        let ended = child.wait().unwrap();
+        interrupted += u32::from(ended.code() == Some(2));
+        assert!(matches!(ended.code(), Some(0 | 2)), "{ended:?} {rest:?}");
+        if space.path("out/model.kiln").exists() {
+            assert_eq!(space.read("out/model.kiln"), expected, "whole or not there: {rest:?}");
+        }
+        let temporary: Vec<_> = fs::read_dir(space.path(".kiln/v1/tmp")).unwrap().collect();
+        assert!(temporary.is_empty(), "{temporary:?}");
+        space.build();
+        assert_eq!(space.read("out/model.kiln"), expected);
+    }
+    assert!(interrupted > 0, "no interrupt met a running build: the test proved nothing");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_watching_build_builds_what_changes_shows_errors_and_keeps_the_last_good_output() {
+    use std::io::{BufRead, BufReader};
+    use std::process::{Command, Stdio};
+
+    let space = many();
+    fs::remove_file(space.path("out/a.kiln")).unwrap();
+    let mut command = space.command(["build", "pipeline.toml", "--backend", "cpu", "--watch"]);
+    let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
+    let mut said = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
+    let mut wait_for = |text: &str| assert!(said.by_ref().any(|line| line.contains(text)), "`{text}` was never said");
+    wait_for("0 of 15 stages ran");
+    space.write("models/b.gltf", quad_gltf("bee"));
+    wait_for("2 of 15 stages ran");
+    let good = space.read("out/b.kiln");
+    space.write("models/b.gltf", "{}");
+    wait_for("error: models/b.gltf");
+    assert_eq!(space.read("out/b.kiln"), good);
+    space.write("models/b.gltf", quad_gltf("wasp"));
+    wait_for("2 of 15 stages ran");
+    assert_ne!(space.read("out/b.kiln"), good);
+    Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+}

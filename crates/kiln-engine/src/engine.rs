@@ -1,21 +1,21 @@
 //! The door: open a cache, build a plan, ask why.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use crate::build::{Built, Session};
-use crate::context::join;
 use crate::disk::Stat;
-use crate::error::{EngineError, IoError};
+use crate::error::EngineError;
 use crate::files::{Files, GRANULARITY, Seen};
 use crate::hash::ContentHash;
-use crate::noop::{self, Noop, Watched};
-use crate::plan::{Plan, Source};
+use crate::index::{Content, Index, Line};
+use crate::noop::{self, Look};
+use crate::plan::Plan;
 use crate::report::{BuildReport, Event, Observer, Why};
-use crate::state::{self, Last, State};
+use crate::state::{Last, State};
 use crate::store::Store;
 
 /// When a write waits for the device.
@@ -64,40 +64,146 @@ impl Default for BuildOptions {
 ///
 /// Many engines, in one process or in many, on one machine or on several that share the folder, may work at the same time.
 pub struct Engine {
-    store: Store,
-    state: State,
-    /// The file system's time before the caller read what makes its plan; set by a fast check that found work.
-    opened_at: OnceLock<i64>,
-    /// Stats and contents that the last build saw.
-    seen: Vec<(String, Seen)>,
-    granularity: i64,
+    pub(crate) store: Store,
+    pub(crate) state: State,
+    pub(crate) index_path: PathBuf,
+    /// What the last build looked at; `None` inside: there is none.
+    pub(crate) index: Option<Option<Index>>,
+    /// The file system's time before the caller read what makes its plan; set by a look that found work.
+    pub(crate) opened_at: Option<i64>,
+    /// Stats, young ones too, of the entries that make the plan and were looked at closer.
+    pub(crate) looked: BTreeMap<String, Option<Stat>>,
+    /// What was known of what makes the plan when it was looked at.
+    pub(crate) plan_lines: Vec<Line>,
+    /// The groups that the last look found changed: the plan is theirs alone.
+    pub(crate) partial: Option<Vec<usize>>,
+    /// Entries that the last look looked at closer.
+    pub(crate) touched: Vec<usize>,
+    /// Stats and contents that the last build saw, sorted by path.
+    pub(crate) seen: Vec<(String, Seen)>,
+    pub(crate) granularity: i64,
 }
 
 impl Engine {
     /// An engine on the cache folder `cache` (usually `.kiln` beside the pipeline) for the pipeline called `name`.
     ///
-    /// `name` names the state file: the same for the same pipeline, whatever folder it lies in. Reads one file, writes
-    /// nothing, and never fails: a state that cannot be read is an empty one.
+    /// `name` names the state file: the same for the same pipeline, whatever folder it lies in. Reads and writes nothing yet, and
+    /// never fails: a state that cannot be read is an empty one.
     pub fn open(cache: impl Into<PathBuf>, name: &str) -> Engine {
         let store = Store::new(cache.into());
-        let state = State::open(store.state_path(&state_name(name)));
-        Engine { store, state, opened_at: OnceLock::new(), seen: Vec::new(), granularity: GRANULARITY }
+        let index_path = store.state_path(&format!("{}.index", state_name(name)));
+        let state = State::new(store.state_path(&state_name(name)));
+        Engine {
+            store,
+            state,
+            index_path,
+            index: None,
+            opened_at: None,
+            looked: BTreeMap::new(),
+            plan_lines: Vec::new(),
+            partial: None,
+            touched: Vec::new(),
+            seen: Vec::new(),
+            granularity: GRANULARITY,
+        }
     }
 
-    /// If a build would find everything fresh by the stats of files alone: the note left by [`Engine::remember_noop`].
+    /// Which assets can have anything to do, by the stats and contents of files alone: a stat for each file.
     ///
     /// Call it before the pipeline is read or folders are listed; where it finds work it makes the cache folder, to learn the file
-    /// system's time. `key` as in [`Noop`], `root` as in [`Plan`]. About 1 us a
-    /// file. `None` says only that a build has to look closer.
-    pub fn fast_noop_check(&self, root: &Path, key: &ContentHash) -> Option<Vec<u8>> {
-        let hit = self.state.noop().and_then(|frame| noop::check(frame, key, root));
-        if hit.is_none() && self.store.prepare().is_ok() {
-            // Without a time there is nothing to remember by: the next build looks closer again.
-            if let Ok(now) = self.store.now() {
-                let _ = self.opened_at.set(now);
+    /// system's time. `key` as in [`Memory`](crate::Memory), `root` as in [`Plan`]. After [`Look::Changed`], build a plan of these
+    /// assets alone, or call [`Engine::widen`] first.
+    pub fn look(&mut self, root: &Path, key: &ContentHash, options: &BuildOptions) -> Look {
+        self.granularity = granularity(options);
+        let mut index = self.take_index();
+        let look = match &mut index {
+            Some(index) => self.look_by(index, root, key),
+            None => {
+                self.learn_time();
+                Look::Unknown
             }
+        };
+        self.index = Some(index);
+        look
+    }
+
+    fn look_by(&mut self, index: &mut Index, root: &Path, key: &ContentHash) -> Look {
+        let keyed = index.key == Some(*key);
+        let closer = match keyed {
+            true => noop::moved(index, root),
+            // All will be planned; what makes the plan is looked at now, before the caller reads it.
+            false => (0..index.entries.len()).filter(|&entry| index.entries[entry].plan).collect(),
+        };
+        let open: Vec<usize> = (0..index.groups.len()).filter(|&group| index.groups[group].open).collect();
+        if keyed && closer.is_empty() && open.is_empty() {
+            return Look::Fresh;
         }
-        hit
+        self.learn_time();
+        let (changed, settled) = self.look_closer(index, root, &closer);
+        let plan_changed = changed.iter().any(|&entry| index.entries[entry].plan || index.owners(entry).is_empty());
+        if !keyed || plan_changed {
+            return Look::Unknown;
+        }
+        let groups: HashSet<usize> =
+            changed.iter().flat_map(|&entry| index.owners(entry)).map(|&g| g as usize).collect();
+        let mut groups: Vec<usize> = groups.into_iter().chain(open).collect();
+        groups.sort_unstable();
+        groups.dedup();
+        if groups.is_empty() {
+            if settled {
+                // Stats that may stand for contents from now on spare the next look; that they cannot be kept costs time only.
+                let _ = index.update(&self.index_path, &self.store, &closer, &[]);
+            }
+            return Look::Fresh;
+        }
+        let frames: Vec<_> = groups.iter().flat_map(|&group| index.frames(group)).copied().collect();
+        if !self.state.load_some(index.state, &frames) {
+            return Look::Unknown;
+        }
+        let names = groups.iter().map(|&group| index.group_name(group).to_owned()).collect();
+        self.partial = Some(groups);
+        self.touched = closer;
+        Look::Changed(names)
+    }
+
+    /// Takes in the contents of entries. Gives those that have another one, and whether any stat stands for its content now.
+    fn look_closer(&mut self, index: &mut Index, root: &Path, entries: &[usize]) -> (Vec<usize>, bool) {
+        let (mut changed, mut any_settled) = (Vec::new(), false);
+        for found in noop::look_closer(index, root, entries) {
+            let settled = found.stat.filter(|stat| self.is_settled(stat));
+            any_settled |= settled.is_some();
+            if index.entries[found.entry].plan {
+                self.looked.insert(index.path(found.entry), found.stat);
+            }
+            let entry = &mut index.entries[found.entry];
+            if found.content == Content::Unknown || found.content != entry.content {
+                changed.push(found.entry);
+            }
+            (entry.stat, entry.content) = (settled, found.content);
+        }
+        (changed, any_settled)
+    }
+
+    /// Whether a file of this stat was last written long before this engine looked at anything.
+    pub(crate) fn is_settled(&self, stat: &Stat) -> bool {
+        self.opened_at.is_some_and(|now| stat.latest() < now.saturating_sub(self.granularity))
+    }
+
+    fn learn_time(&mut self) {
+        // Without a time there is nothing to remember by: the next build looks closer again.
+        if self.opened_at.is_none() && self.store.prepare().is_ok() {
+            self.opened_at = self.store.now().ok();
+        }
+    }
+
+    /// After [`Look::Changed`]: all is built all the same.
+    pub fn widen(&mut self) {
+        self.partial = None;
+    }
+
+    /// The index, read at most once; the caller puts it back.
+    fn take_index(&mut self) -> Option<Index> {
+        self.index.take().unwrap_or_else(|| Index::read(&self.index_path))
     }
 
     /// Builds a plan. What a single action or target meets is in the report.
@@ -115,14 +221,18 @@ impl Engine {
         if !options.dry_run {
             self.store.prepare()?;
         }
-        self.state.load();
-        self.granularity = i64::try_from(options.clock_granularity.as_nanos()).unwrap_or(i64::MAX);
+        if self.partial.is_none() {
+            self.state.load();
+        }
+        self.granularity = granularity(options);
         observer.event(&Event::Planned { actions: plan.actions.len(), targets: plan.targets.len() });
-        let files = Files::new(&plan.root, &self.store, &self.state, self.granularity, options.dry_run);
+        let index = self.take_index();
+        let files = Files::new(&plan.root, &self.store, index.as_ref(), self.granularity, options.dry_run);
         let session = Session::new(plan, options, observer, &self.store, &self.state, files);
         let Built { mut report, seen, lasts } = session.run();
+        self.index = Some(index);
         if !options.dry_run {
-            self.keep(plan, seen, lasts);
+            self.keep(plan, &report, seen, lasts);
         }
         report.warnings.extend(self.store.take_warnings());
         for message in &report.warnings {
@@ -144,9 +254,12 @@ impl Engine {
         self.check(plan)?;
         self.state.load();
         let options = BuildOptions { dry_run: true, ..BuildOptions::default() };
-        let files = Files::new(&plan.root, &self.store, &self.state, GRANULARITY, true);
+        let index = self.take_index();
+        let files = Files::new(&plan.root, &self.store, index.as_ref(), GRANULARITY, true);
         let session = Session::new(plan, &options, &crate::report::NoObserver, &self.store, &self.state, files);
-        Ok(session.why(target))
+        let why = session.why(target);
+        self.index = Some(index);
+        Ok(why)
     }
 
     /// The bytes of an output that a record names, out of the store; `None` if they are no longer there.
@@ -154,97 +267,56 @@ impl Engine {
         self.store.blob(hash)
     }
 
-    /// After a build that succeeded: lets [`Engine::fast_noop_check`] answer from now on. Returns whether it could: not if a
-    /// file was written within the clock's granularity (the next build tries again), nor without a fast check before.
-    ///
-    /// # Errors
-    /// The state file cannot be written.
-    pub fn remember_noop(&mut self, plan: &Plan, report: &BuildReport, noop: &Noop) -> Result<bool, IoError> {
-        let Some(watched) = self.watched(plan, report, noop) else { return Ok(false) };
-        self.state.set_noop(noop::to_bytes(&noop.key, &noop.note, &watched));
-        self.save(plan)?;
-        Ok(true)
-    }
-
     fn check(&self, plan: &Plan) -> Result<(), EngineError> {
         let defects = plan.defects();
         if defects.is_empty() { Ok(()) } else { Err(EngineError::InvalidPlan(defects)) }
     }
 
-    /// Everything that a build without work looks at, sorted by path; `None` if some of it is too young.
-    fn watched(&self, plan: &Plan, report: &BuildReport, noop: &Noop) -> Option<Vec<Watched>> {
-        if !report.succeeded() || report.actions.len() != plan.actions.len() {
-            return None;
-        }
-        let opened_at = *self.opened_at.get()?;
-        let mut watched = Vec::new();
-        for path in noop.files.iter().chain(&noop.folders) {
-            let stat = noop::stat(&plan.root.join(path)).ok()?;
-            let settled = |stat: &Stat| stat.latest() < opened_at.saturating_sub(self.granularity);
-            watched.push((path.clone(), Some(stat.filter(settled)?)));
-        }
-        let mut paths = BTreeSet::new();
-        for (action, done) in plan.actions.iter().zip(&report.actions) {
-            for input in &action.inputs {
-                if let Source::File { path } = &input.source {
-                    paths.insert(path.clone());
-                }
-            }
-            if let Some(folder) = &action.discovers {
-                let found = &done.record.as_ref()?.discovered;
-                paths.extend(found.iter().map(|(path, _)| join(folder, path)));
-            }
-        }
-        paths.extend(plan.targets.iter().map(|target| target.path.clone()));
-        for path in paths {
-            let at = self.seen.binary_search_by(|(seen, _)| seen.cmp(&path)).ok()?;
-            let seen = self.seen[at].1;
-            match seen.hash {
-                Some(_) => watched.push((path, Some(seen.stat?))),
-                None => watched.push((path, None)),
-            }
-        }
-        watched.sort_by(|a, b| a.0.cmp(&b.0));
-        Some(watched)
-    }
-
     /// Notes what the build saw.
-    fn keep(&mut self, plan: &Plan, seen: Vec<(String, Seen)>, lasts: Vec<(usize, Last)>) {
+    fn keep(&mut self, plan: &Plan, report: &BuildReport, seen: Vec<(String, Seen)>, lasts: Vec<(usize, Last)>) {
         for (action, last) in lasts {
             self.state.set_last(&plan.actions[action].id, last);
         }
-        for (path, seen) in &seen {
-            let Some(hash) = seen.hash else { continue };
-            let refuted = self.state.memo(path).is_some_and(|(_, known)| *known != hash);
-            match seen.stat {
-                Some(stat) => self.state.set_memo(path, stat, hash),
-                // No file has this stat: what was known is known no more.
-                None if refuted => self.state.set_memo(path, Stat::default(), hash),
-                None => {}
+        self.seen = seen;
+        let live = plan.actions.iter().map(|action| action.id.as_str()).collect();
+        let mut kept = self.state.save(&self.store, &live, self.partial.is_none());
+        if self.partial.is_none() {
+            // What the build did not come to look at is as known as it was.
+            let old = self.index.iter().flatten().filter(|_| !report.succeeded()).flat_map(Index::lines);
+            let old = old.filter(|line| !line.plan && self.seen_of(&line.path).is_none());
+            let old = old.map(|line| Line { owners: Vec::new(), ..line });
+            let mut memo =
+                Index::new(None, self.seen.iter().map(|(path, seen)| seen.line(path)).chain(old).collect(), &[]);
+            // What the plan was made of is known until `remember` says what it is made of now.
+            self.plan_lines = self.index.iter().flatten().flat_map(Index::lines).filter(|line| line.plan).collect();
+            if self.index.as_ref().and_then(Option::as_ref) != Some(&memo) {
+                kept = kept.and(memo.write(&self.index_path, &self.store));
+                self.index = Some(Some(memo));
             }
         }
-        self.seen = seen;
-        if let Err(error) = self.save(plan) {
+        if let Err(error) = kept {
             self.store.warn(format!("{error}; the next build will look closer"));
         }
     }
 
-    /// Puts a wrong entry into the memo.
-    #[cfg(test)]
-    pub(crate) fn lie(&mut self, plan: &Plan, path: &str, stat: Stat, hash: ContentHash) {
-        self.store.prepare().expect("a writable folder");
-        self.state.load();
-        self.state.set_memo(path, stat, hash);
-        self.save(plan).expect("a writable folder");
+    /// What the last build saw of a file.
+    pub(crate) fn seen_of(&self, path: &str) -> Option<Seen> {
+        let at = self.seen.binary_search_by(|(seen, _)| seen.as_str().cmp(path)).ok()?;
+        Some(self.seen[at].1)
     }
 
-    fn save(&mut self, plan: &Plan) -> Result<(), IoError> {
-        let seen = state::Seen {
-            actions: plan.actions.iter().map(|action| action.id.as_str()).collect(),
-            files: self.seen.iter().map(|(path, _)| path.as_str()).collect(),
-        };
-        self.state.save(&self.store, &seen)
+    /// Puts a wrong entry into the memo.
+    #[cfg(test)]
+    pub(crate) fn lie(&mut self, path: &str, stat: Stat, hash: ContentHash) {
+        self.store.prepare().expect("a writable folder");
+        let line = Seen { hash: Some(hash), stat: Some(stat) }.line(path);
+        let mut memo = Index::new(None, vec![line], &[]);
+        memo.write(&self.index_path, &self.store).expect("a writable folder");
     }
+}
+
+fn granularity(options: &BuildOptions) -> i64 {
+    i64::try_from(options.clock_granularity.as_nanos()).unwrap_or(i64::MAX)
 }
 
 /// A file name for any pipeline name: its readable part and a digest.

@@ -18,7 +18,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use crate::disk::{Stat, is_absent};
 use crate::error::IoError;
 use crate::hash::ContentHash;
-use crate::state::State;
+use crate::index::{self, Index, Line};
 use crate::store::Store;
 
 /// Default granularity of file times, nanoseconds; see above.
@@ -33,6 +33,15 @@ pub(crate) struct Seen {
     pub(crate) stat: Option<Stat>,
 }
 
+impl Seen {
+    /// The same as a line of the index.
+    pub(crate) fn line(&self, path: &str) -> Line {
+        let content = self.hash.map_or(index::Content::Absent, index::Content::Hash);
+        let path = path.to_owned();
+        Line { path, stat: self.stat, content, plan: false, folder: false, output: false, owners: Vec::new() }
+    }
+}
+
 /// A file's bytes and their digest; `None` if it is absent.
 pub(crate) type Content = Option<(Arc<[u8]>, ContentHash)>;
 
@@ -40,7 +49,7 @@ pub(crate) type Content = Option<(Arc<[u8]>, ContentHash)>;
 pub(crate) struct Files<'a> {
     root: &'a Path,
     store: &'a Store,
-    state: &'a State,
+    memo: Option<&'a Index>,
     granularity: i64,
     now: OnceLock<i64>,
     seen: Mutex<HashMap<String, Seen>>,
@@ -52,12 +61,12 @@ impl<'a> Files<'a> {
     pub(crate) fn new(
         root: &'a Path,
         store: &'a Store,
-        state: &'a State,
+        memo: Option<&'a Index>,
         granularity: i64,
         look_only: bool,
     ) -> Files<'a> {
         let now = if look_only { OnceLock::from(i64::MIN) } else { OnceLock::new() };
-        Files { root, store, state, granularity, now, seen: Mutex::default(), hashed: AtomicUsize::new(0) }
+        Files { root, store, memo, granularity, now, seen: Mutex::default(), hashed: AtomicUsize::new(0) }
     }
 
     /// Number of files that were read to be hashed.
@@ -106,8 +115,8 @@ impl<'a> Files<'a> {
             Err(error) => return Err(IoError::new("look at", full)(error)),
             Ok(metadata) => {
                 let stat = Stat::of(&metadata);
-                match self.state.memo(path) {
-                    Some((known, hash)) if *known == stat => Seen { hash: Some(*hash), stat: Some(stat) },
+                match self.memo.and_then(|memo| memo.memo(path)) {
+                    Some((known, hash)) if known == stat => Seen { hash: Some(hash), stat: Some(stat) },
                     _ => self.read_and_hash(&full)?,
                 }
             }

@@ -50,7 +50,8 @@
 //! The lessons of Ninja, n2, Bazel, Buck2, cargo, ccache and sccache; A. Mokhov, N. Mitchell, S. Peyton Jones, "Build systems
 //! a la carte", ICFP 2018, doi:10.1145/3236774 (constructive traces with early cut-off; discovered inputs as depth-one traces).
 //!
-//! Reading order: `plan`, `manifest`, `reason`, `build` (the algorithm), `store`, `files`, `state`, `noop`, `engine`.
+//! Reading order: `plan`, `manifest`, `reason`, `build` (the algorithm), `store`, `files`, `state`, `index`,
+//! `noop`, `remember`, `verify`, `engine`.
 
 mod build;
 mod context;
@@ -59,25 +60,30 @@ mod engine;
 mod error;
 mod files;
 mod hash;
+mod index;
 mod manifest;
 mod noop;
 mod plan;
 mod reason;
+mod remember;
 mod report;
 mod state;
 mod store;
 #[cfg(test)]
 mod tests;
+mod verify;
 
 pub use context::Context;
 pub use engine::{BuildOptions, Durability, Engine};
 pub use error::{ActionError, EngineError, IoError};
 pub use hash::{ContentHash, Fingerprint, NotADigest};
 pub use manifest::{Field, InputField, Manifest, Origin, Topic, Value};
-pub use noop::Noop;
+pub use noop::{Group, Look, Memory};
 pub use plan::{Action, Input, Outputs, Plan, PlanDefect, Run, Source, Target};
 pub use reason::StaleReason;
+pub use remember::{AssetFiles, Dependencies};
 pub use report::{
     ActionReport, ActionState, BuildReport, Event, NoObserver, Observer, OutputRecord, Record, TargetError,
     TargetReport, TargetState, Verdict, Why,
 };
+pub use verify::{Around, Inconsistency, Verification};

@@ -16,6 +16,7 @@
 //!   tree, clusters  <- the last simplify's levels, source mesh -> tree, clusters
 //! ```
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -41,6 +42,8 @@ pub struct PlanOptions {
     pub backend: Backend,
     /// Runs the worker program around xatlas, if it was found.
     pub xatlas: Option<XatlasWorker>,
+    /// Plan these models alone, named as [`PlannedAsset::input`] names them; folders are not listed.
+    pub only: Option<Vec<String>>,
 }
 
 /// One model of a plan.
@@ -140,7 +143,10 @@ pub fn plan(pipeline: &Path, options: &PlanOptions) -> Result<Planned, PlanError
 
     let paths = Paths { root: &root, current: &options.current_folder };
     let asset = &pipeline.asset;
-    let list = |folder: &str| list_folder(&root.join(paths.place(&asset.input.relative_to, folder)));
+    let list = |folder: &str| {
+        let folder = paths.place(&asset.input.relative_to, folder);
+        options.only.as_ref().map_or_else(|| list_folder(&root.join(&folder)), |models| Ok(listing_of(models, &folder)))
+    };
     let expansion = language::expand_inputs(&pipeline, &list);
     if has_errors(&expansion.diagnostics) {
         warnings.extend(expansion.diagnostics);
@@ -171,13 +177,30 @@ pub fn folder_of(file: &Path) -> PathBuf {
     }
 }
 
+/// What a folder would hold if there were these models alone.
+fn listing_of(models: &[String], folder: &str) -> Vec<DirEntry> {
+    let parts = |path| str::split(path, '/').filter(|part| !part.is_empty() && *part != ".");
+    let mut entries = BTreeSet::new();
+    for model in models {
+        let mut rest = parts(model);
+        if parts(folder).all(|part| rest.next() == Some(part))
+            && let Some(name) = rest.next()
+        {
+            entries.insert(DirEntry { name: name.to_owned(), is_dir: rest.next().is_some() });
+        }
+    }
+    entries.into_iter().collect()
+}
+
 fn list_folder(folder: &Path) -> io::Result<Vec<DirEntry>> {
     let mut entries = Vec::new();
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
         // A name that is no UTF-8 cannot be written in a pipeline and matches nothing.
         if let Ok(name) = entry.file_name().into_string() {
-            entries.push(DirEntry { name, is_dir: entry.path().is_dir() });
+            // The folder itself tells in most cases: no stat for each of ten thousand models.
+            let kind = entry.file_type()?;
+            entries.push(DirEntry { name, is_dir: kind.is_dir() || kind.is_symlink() && entry.path().is_dir() });
         }
     }
     Ok(entries)

@@ -5,17 +5,17 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use kiln_engine::{
-    ActionError, ActionState, BuildOptions, BuildReport, ContentHash, Engine, EngineError, Event, Noop, Observer,
-    TargetState, Verdict,
+    ActionError, ActionState, BuildOptions, BuildReport, ContentHash, Dependencies, Engine, EngineError, Event, Group,
+    Look, Memory, Observer, TargetState, Verdict, Verification,
 };
 use kiln_pipeline::language::{Diagnostic, Sources};
-use kiln_pipeline::plan::{PlanError, PlanOptions, Planned, folder_of, plan};
+use kiln_pipeline::plan::{PlanError, PlanOptions, Planned, PlannedAsset, folder_of, plan};
 use kiln_pipeline::stages::{Backend, StageError};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::debug_images::{StagePicture, debug_pictures};
-use crate::summary::{AssetSummary, StageState, StageSummary, Summary};
+use crate::summary::{AssetSummary, StageState, StageSummary, Summary, Untouched};
 use crate::{memory, worker};
 
 /// What to build, and how. Every field has the default that the command has.
@@ -37,6 +37,10 @@ pub struct Build {
     pub dry_run: bool,
     /// Draw debug pictures of the stages that have any, fresh ones too. Changes nothing else.
     pub debug_pictures: bool,
+    /// Count the assets about which nothing changed instead of listing them in the summary.
+    pub brief: bool,
+    /// Give [`Outcome::dependencies`].
+    pub dependencies: bool,
     /// Set it to stop soon; nothing half is kept.
     pub cancel: Arc<AtomicBool>,
 }
@@ -54,6 +58,8 @@ pub struct Outcome {
     pub cancelled: bool,
     /// Where [`Build::debug_pictures`] asked for them.
     pub pictures: Vec<StagePicture>,
+    /// What the outputs depend on, where [`Build::dependencies`] asked for it; not known of a cancelled build or a dry run.
+    pub dependencies: Option<Dependencies>,
 }
 
 /// Why a build could not begin. What a single stage meets is in the summary.
@@ -79,6 +85,8 @@ impl Build {
             keep_going: false,
             dry_run: false,
             debug_pictures: false,
+            brief: false,
+            dependencies: false,
             cancel: Arc::default(),
         }
     }
@@ -103,14 +111,37 @@ impl Build {
         (Engine::open(self.cache_folder(), &name), ContentHash::of(key.as_bytes()))
     }
 
-    fn plan(&self) -> Result<Planned, PlanError> {
+    fn plan(&self, only: Option<Vec<String>>) -> Result<Planned, PlanError> {
         let options = PlanOptions {
             sets: self.sets.clone(),
             current_folder: std::env::current_dir().unwrap_or_default(),
             backend: self.backend,
             xatlas: worker::find().map(|program| worker::runner(program, Arc::clone(&self.cancel))),
+            only,
         };
         plan(&self.pipeline, &options)
+    }
+
+    /// The plan of changed assets alone; `None` where that will not do: another device, or the pipeline changed just now.
+    fn plan_some(&self, engine: &Engine, names: &[String]) -> Option<Planned> {
+        let planned = self.plan(Some(names.to_vec())).ok()?;
+        let found: Vec<&str> = planned.assets.iter().map(|asset| asset.input.as_str()).collect();
+        let device = planned.assets.first().map(|asset| device_of(&planned, asset))?;
+        // All assets go through the same stages: one that did not change tells the device of all.
+        let other = engine.briefs().find(|(name, _)| !names.iter().any(|changed| changed == name));
+        let same = other.is_none_or(|(_, brief)| Brief::parse(brief).device == device);
+        (found == names && same).then_some(planned)
+    }
+
+    fn options(&self) -> BuildOptions {
+        let defaults = BuildOptions::default();
+        BuildOptions {
+            jobs: self.jobs.unwrap_or(defaults.jobs).max(1),
+            keep_going: self.keep_going,
+            dry_run: self.dry_run,
+            cancel: Arc::clone(&self.cancel),
+            ..defaults
+        }
     }
 
     /// Builds.
@@ -120,13 +151,13 @@ impl Build {
     pub fn run(&self, observer: &dyn Observer) -> Result<Outcome, BuildError> {
         let start = std::time::Instant::now();
         let (mut engine, key) = self.engine();
-        let root = folder_of(&self.pipeline);
+        let options = self.options();
         // Where there is no cache yet there is nothing to find, and a broken pipeline shall not leave one behind.
-        if !self.dry_run
-            && self.cache_folder().is_dir()
-            && let Some(note) = engine.fast_noop_check(&root, &key)
+        let may_look = !self.dry_run && self.cache_folder().is_dir();
+        let look = if may_look { engine.look(&folder_of(&self.pipeline), &key, &options) } else { Look::Unknown };
+        if look == Look::Fresh
             && !self.debug_pictures
-            && let Ok(mut summary) = serde_json::from_slice::<Summary>(&note)
+            && let Some(mut summary) = self.remembered(&engine)
         {
             summary.seconds = start.elapsed().as_secs_f64();
             return Ok(Outcome {
@@ -135,26 +166,38 @@ impl Build {
                 sources: Arc::default(),
                 cancelled: false,
                 pictures: Vec::new(),
+                dependencies: self.dependencies.then(|| engine.dependencies()),
             });
         }
-        let planned = self.plan()?;
-        let defaults = BuildOptions::default();
-        let options = BuildOptions {
-            jobs: self.jobs.unwrap_or(defaults.jobs).max(1),
-            keep_going: self.keep_going,
-            dry_run: self.dry_run,
-            cancel: Arc::clone(&self.cancel),
-            ..defaults
+        let some = match &look {
+            Look::Changed(names) if !self.debug_pictures => self.plan_some(&engine, names),
+            _ => None,
+        };
+        let partial = some.is_some();
+        let mut planned = match some {
+            Some(planned) => planned,
+            None => {
+                engine.widen();
+                self.plan(None)?
+            }
         };
         let peaks = Peaks { inner: observer, peaks: Mutex::new(vec![None; planned.plan.actions.len()]) };
         let report = engine.build(&planned.plan, &options, &peaks)?;
         let peaks = peaks.peaks.into_inner().unwrap_or_else(PoisonError::into_inner);
-        let mut summary = summarise(&self.pipeline, &planned, &report, &peaks);
-        if !self.dry_run && report.succeeded() {
-            let note = serde_json::to_vec(&as_fresh(&summary)).expect("invariant: a summary is plain data");
-            let noop = Noop { key, files: planned.files.clone(), folders: planned.folders.clone(), note };
-            if let Err(error) = engine.remember_noop(&planned.plan, &report, &noop) {
-                summary.warnings.push(error.to_string());
+        let parts: Vec<Part> = planned.assets.iter().map(|asset| part(asset, &report, &peaks)).collect();
+        let kept = match self.dry_run {
+            true => Ok(()),
+            false => engine.remember(&planned.plan, &report, &memory(key, &planned, &parts)),
+        };
+        let mut summary = self.summary(&report, parts);
+        summary.warnings.extend(kept.err().map(|error| format!("{error}; the next build will look closer")));
+        if partial {
+            self.add_untouched(&mut summary, &engine);
+            planned.warnings.clear();
+        }
+        if self.dry_run {
+            for (asset, planned) in summary.assets.iter_mut().zip(&planned.assets) {
+                asset.resolved = Some(planned.resolved.clone());
             }
         }
         let (pictures, missing) = match self.debug_pictures && !self.dry_run {
@@ -163,9 +206,131 @@ impl Build {
         };
         summary.warnings.extend(missing);
         summary.seconds = start.elapsed().as_secs_f64();
+        let known = self.dependencies && !self.dry_run && !report.cancelled;
         let Planned { warnings, sources, .. } = planned;
-        Ok(Outcome { summary, diagnostics: warnings, sources, cancelled: report.cancelled, pictures })
+        Ok(Outcome {
+            summary,
+            diagnostics: warnings,
+            sources,
+            cancelled: report.cancelled,
+            pictures,
+            dependencies: known.then(|| engine.dependencies()),
+        })
     }
+
+    /// Builds twice in scratch caches, the second time one stage at a time on one thread, and compares: no stage may give other
+    /// bytes for the same fingerprint, nor other bytes than this cache has of it. Writes no output.
+    ///
+    /// # Errors
+    /// As for [`Build::run`].
+    pub fn verify(&self, observer: &dyn Observer) -> Result<Verification, BuildError> {
+        let planned = self.plan(None)?;
+        let (engine, _) = self.engine();
+        let on_one_thread =
+            |work: &mut (dyn FnMut() + Send)| match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
+                Ok(pool) => pool.install(work),
+                // No further thread can be had: this one does it.
+                Err(_) => work(),
+            };
+        Ok(engine.verify(&planned.plan, &self.options(), observer, &on_one_thread)?)
+    }
+
+    /// The summary of a build that found nothing to do; `None` if it is not known any more.
+    fn remembered(&self, engine: &Engine) -> Option<Summary> {
+        let mut summary = Summary::of(&self.pipeline);
+        summary.fresh = true;
+        self.add_untouched(&mut summary, engine);
+        (self.brief || summary.untouched == Untouched::default()).then_some(summary)
+    }
+
+    /// Adds the assets that are not in the summary: listed, or counted where that will do or no more is known.
+    fn add_untouched(&self, summary: &mut Summary, engine: &Engine) {
+        let mut listed = std::mem::take(&mut summary.assets).into_iter().peekable();
+        let mut last = ("", Brief::default());
+        for (group, (name, brief)) in engine.briefs().enumerate() {
+            if let Some(asset) = listed.next_if(|asset| asset.input == name) {
+                summary.assets.push(asset);
+                continue;
+            }
+            // Most assets have the same to say.
+            if last.0 != brief {
+                last = (brief, Brief::parse(brief));
+            }
+            summary.warnings.extend_from_slice(&last.1.warnings);
+            summary.short.extend_from_slice(&last.1.short);
+            let note = if self.brief { None } else { engine.note(group) };
+            match note.and_then(|note| serde_json::from_slice::<AssetSummary>(&note).ok()) {
+                Some(asset) => summary.assets.push(asset),
+                None => {
+                    summary.untouched.assets += 1;
+                    summary.untouched.stages += last.1.stages;
+                }
+            }
+        }
+        summary.assets.extend(listed);
+    }
+
+    fn summary(&self, report: &BuildReport, parts: Vec<Part>) -> Summary {
+        let mut summary = Summary::of(&self.pipeline);
+        summary.fresh = report.nothing_to_do();
+        summary.warnings.clone_from(&report.warnings);
+        for part in parts {
+            summary.warnings.extend(part.passing);
+            summary.warnings.extend(part.brief.warnings);
+            summary.short.extend(part.brief.short);
+            summary.errors.extend(part.errors);
+            summary.assets.push(part.asset);
+        }
+        summary
+    }
+}
+
+/// What is at hand of an asset about which nothing changed.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Brief {
+    stages: usize,
+    /// Classes of device that its stages depend on.
+    device: String,
+    warnings: Vec<String>,
+    short: Vec<String>,
+}
+
+impl Brief {
+    fn parse(text: &str) -> Brief {
+        serde_json::from_str(text).unwrap_or_default()
+    }
+}
+
+/// What a build came to for one asset.
+struct Part {
+    asset: AssetSummary,
+    brief: Brief,
+    /// Warnings of this build alone.
+    passing: Vec<String>,
+    errors: Vec<String>,
+}
+
+/// The classes of device that an asset's stages depend on.
+fn device_of(planned: &Planned, asset: &PlannedAsset) -> String {
+    let classes = asset.actions.iter().filter_map(|(action, _)| planned.plan.actions[*action].device_class.clone());
+    classes.collect::<Vec<_>>().join("; ")
+}
+
+/// What the next build has to know to find out what there is to do.
+fn memory(key: ContentHash, planned: &Planned, parts: &[Part]) -> Memory {
+    let json = "invariant: summaries are plain data";
+    let group = |(asset, part): (&PlannedAsset, &Part)| {
+        let brief = Brief { device: device_of(planned, asset), ..part.brief.clone() };
+        Group {
+            name: asset.input.clone(),
+            actions: asset.actions.iter().map(|(action, _)| *action).collect(),
+            targets: vec![asset.target],
+            brief: serde_json::to_string(&brief).expect(json),
+            note: serde_json::to_vec(&as_fresh(&part.asset)).expect(json),
+        }
+    };
+    let groups = planned.assets.iter().zip(parts).map(group).collect();
+    Memory { key, files: planned.files.clone(), folders: planned.folders.clone(), groups }
 }
 
 /// Notes the process' peak memory while each action runs.
@@ -190,83 +355,72 @@ impl Observer for Peaks<'_> {
     }
 }
 
-/// The summary that the next build gives if nothing changes.
-fn as_fresh(summary: &Summary) -> Summary {
-    let mut summary = summary.clone();
-    for asset in &mut summary.assets {
-        asset.state = "unchanged".into();
-        for stage in &mut asset.stages {
-            stage.state = StageState::Fresh;
-            stage.reason = None;
-            stage.peak_bytes = None;
-        }
+/// What the next build says of an asset if nothing changes.
+fn as_fresh(asset: &AssetSummary) -> AssetSummary {
+    let mut asset = asset.clone();
+    asset.state = "unchanged".into();
+    for stage in &mut asset.stages {
+        stage.state = StageState::Fresh;
+        stage.reason = None;
+        stage.peak_bytes = None;
     }
-    summary.fresh = true;
-    summary
+    asset
 }
 
-fn summarise(pipeline: &Path, planned: &Planned, report: &BuildReport, peaks: &[Option<u64>]) -> Summary {
-    let mut summary = Summary {
-        pipeline: pipeline.display().to_string(),
-        assets: Vec::new(),
-        warnings: report.warnings.clone(),
-        short: Vec::new(),
-        errors: Vec::new(),
-        fresh: report.nothing_to_do(),
-        seconds: report.seconds,
-    };
-    for asset in &planned.assets {
-        let mut stages = Vec::new();
-        for (index, stage) in &asset.actions {
-            let action = &report.actions[*index];
-            let place = format!("{}, stage {stage}", asset.input);
-            let (state, reason) = match &action.state {
-                ActionState::Fresh => (StageState::Fresh, None),
-                ActionState::Ran { reason, .. } => (StageState::Ran, Some(reason.to_string())),
-                ActionState::WouldRun { reason } => (StageState::WouldRun, Some(reason.to_string())),
-                ActionState::DependsOn { on } => (StageState::Depends, Some(report.actions[*on].id.clone())),
-                ActionState::Failed(error) => {
-                    summary.errors.extend(defects(error).into_iter().map(|d| format!("{place}: {d}")));
-                    (StageState::Failed, Some(error.to_string()))
-                }
-                ActionState::Skipped { .. } => (StageState::Skipped, None),
-            };
-            let record = action.record.as_ref();
-            let stage_report: Value =
-                record.and_then(|r| serde_json::from_slice(&r.report).ok()).unwrap_or(Value::Null);
-            summary.warnings.extend(action.warnings.iter().map(|w| format!("{place}: {w}")));
-            soft_trouble(&place, &stage_report, &mut summary);
-            stages.push(StageSummary {
-                stage: stage.clone(),
-                state,
-                reason,
-                seconds: record.map(|r| r.seconds),
-                peak_bytes: peaks.get(*index).copied().flatten(),
-                bytes: record.map_or(0, |r| r.outputs.iter().map(|o| o.length).sum()),
-                report: stage_report,
-            });
-        }
-        let target = &report.targets[asset.target];
-        let state = match &target.state {
-            TargetState::Unchanged => "unchanged",
-            TargetState::Written { .. } => "written",
-            TargetState::WouldWrite { .. } => "would-write",
-            TargetState::DependsOn { .. } => "depends",
-            TargetState::Failed(error) => {
-                summary.errors.push(format!("{}: {error}", asset.output));
-                "failed"
+/// What a build came to for `asset`.
+fn part(asset: &PlannedAsset, report: &BuildReport, peaks: &[Option<u64>]) -> Part {
+    let (mut brief, mut passing, mut errors) = (Brief::default(), Vec::new(), Vec::new());
+    let mut stages = Vec::new();
+    for (index, stage) in &asset.actions {
+        let action = &report.actions[*index];
+        let place = format!("{}, stage {stage}", asset.input);
+        let (state, reason) = match &action.state {
+            ActionState::Fresh => (StageState::Fresh, None),
+            ActionState::Ran { reason, .. } => (StageState::Ran, Some(reason.to_string())),
+            ActionState::WouldRun { reason } => (StageState::WouldRun, Some(reason.to_string())),
+            ActionState::DependsOn { on } => (StageState::Depends, Some(report.actions[*on].id.clone())),
+            ActionState::Failed(error) => {
+                errors.extend(defects(error).into_iter().map(|d| format!("{place}: {d}")));
+                (StageState::Failed, Some(error.to_string()))
             }
-            TargetState::Skipped => "skipped",
+            ActionState::Skipped { .. } => (StageState::Skipped, None),
         };
-        summary.assets.push(AssetSummary {
-            input: asset.input.clone(),
-            output: asset.output.clone(),
-            state: state.into(),
-            bytes: target.length.unwrap_or(0),
-            stages,
+        let record = action.record.as_ref();
+        let stage_report: Value = record.and_then(|r| serde_json::from_slice(&r.report).ok()).unwrap_or(Value::Null);
+        passing.extend(action.warnings.iter().map(|w| format!("{place}: {w}")));
+        soft_trouble(&place, &stage_report, &mut brief);
+        stages.push(StageSummary {
+            stage: stage.clone(),
+            state,
+            reason,
+            seconds: record.map(|r| r.seconds),
+            peak_bytes: peaks.get(*index).copied().flatten(),
+            bytes: record.map_or(0, |r| r.outputs.iter().map(|o| o.length).sum()),
+            report: stage_report,
         });
     }
-    summary
+    brief.stages = stages.len();
+    let target = &report.targets[asset.target];
+    let state = match &target.state {
+        TargetState::Unchanged => "unchanged",
+        TargetState::Written { .. } => "written",
+        TargetState::WouldWrite { .. } => "would-write",
+        TargetState::DependsOn { .. } => "depends",
+        TargetState::Failed(error) => {
+            errors.push(format!("{}: {error}", asset.output));
+            "failed"
+        }
+        TargetState::Skipped => "skipped",
+    };
+    let asset = AssetSummary {
+        input: asset.input.clone(),
+        output: asset.output.clone(),
+        state: state.into(),
+        bytes: target.length.unwrap_or(0),
+        stages,
+        resolved: None,
+    };
+    Part { asset, brief, passing, errors }
 }
 
 /// Each defect of a failed stage.
@@ -282,23 +436,23 @@ fn defects(error: &ActionError) -> Vec<String> {
 }
 
 /// What reports say of budgets missed (`levels[].short`), of what was asked in vain (`short`), and of things repaired, replaced or left out (`repairs`, `warnings`).
-fn soft_trouble(place: &str, report: &Value, summary: &mut Summary) {
+fn soft_trouble(place: &str, report: &Value, brief: &mut Brief) {
     for (number, level) in report["levels"].as_array().into_iter().flatten().enumerate() {
         if let Some(short) = level["short"].as_str() {
-            summary.short.push(format!("{place}, level {number}: {short}"));
+            brief.short.push(format!("{place}, level {number}: {short}"));
         }
     }
     for vain in report["short"].as_array().into_iter().flatten() {
-        summary.short.extend(vain.as_str().map(|text| format!("{place}: {text}")));
+        brief.short.extend(vain.as_str().map(|text| format!("{place}: {text}")));
     }
     for repair in report["repairs"].as_array().into_iter().flatten() {
         let what = repair["sentence"].as_str().or(repair["kind"].as_str()).unwrap_or("repaired");
         let first = repair["first"].as_str().unwrap_or_default();
-        summary.warnings.push(format!("{place}: {what} ({} times, first {first})", repair["count"]));
+        brief.warnings.push(format!("{place}: {what} ({} times, first {first})", repair["count"]));
     }
     for warning in report["warnings"].as_array().into_iter().flatten() {
         if let Some(text) = warning.as_str() {
-            summary.warnings.push(format!("{place}: {text}"));
+            brief.warnings.push(format!("{place}: {text}"));
         }
     }
 }
@@ -332,7 +486,7 @@ pub struct WhyStage {
 /// # Errors
 /// As for [`Build::run`].
 pub fn why(build: &Build, output: &Path) -> Result<Option<WhyOutcome>, BuildError> {
-    let planned = build.plan()?;
+    let planned = build.plan(None)?;
     let root = folder_of(&build.pipeline);
     let wanted = absolute(output);
     let Some(asset) = planned.assets.iter().find(|asset| absolute(&root.join(&asset.output)) == wanted) else {

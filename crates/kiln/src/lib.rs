@@ -11,12 +11,14 @@
 //! ```
 //!
 //! Reading order: [`build`] (what a build does beside the engine), [`summary`] (what it says afterwards), [`exit`] (the one table
-//! of exit codes), [`debug_images`], [`worker`] (the child process around xatlas), `command` (the command line, behind the feature `cli`).
+//! of exit codes), [`dependencies`] (depfiles, Cargo's lines), [`debug_images`],
+//! [`worker`] (the child process around xatlas), `command` (the command line, behind the feature `cli`).
 
 pub mod build;
 #[cfg(feature = "cli")]
 pub mod command;
 pub mod debug_images;
+pub mod dependencies;
 pub mod exit;
 pub mod memory;
 pub mod summary;
@@ -24,7 +26,8 @@ pub mod worker;
 
 pub use build::{Build, BuildError, Outcome, WhyOutcome, why};
 pub use debug_images::StagePicture;
+pub use dependencies::{cargo_lines, depfile};
 pub use exit::Exit;
-pub use kiln_engine::{Event, NoObserver, Observer};
+pub use kiln_engine::{Dependencies, Event, Inconsistency, NoObserver, Observer, Verification};
 pub use kiln_pipeline::stages::Backend;
-pub use summary::{AssetSummary, StageState, StageSummary, Summary};
+pub use summary::{AssetSummary, StageState, StageSummary, Summary, Untouched};

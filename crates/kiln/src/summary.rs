@@ -1,6 +1,7 @@
 //! What a build did, for people (a table) and for programs (JSON).
 
 use std::fmt::Write as _;
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -57,6 +58,18 @@ pub struct AssetSummary {
     pub bytes: u64,
     /// In order.
     pub stages: Vec<StageSummary>,
+    /// Dry run: the pipeline as it holds for this model, every default filled, as TOML.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resolved: Option<String>,
+}
+
+/// Assets that are counted and not listed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Untouched {
+    /// How many.
+    pub assets: usize,
+    /// Their stages.
+    pub stages: usize,
 }
 
 /// One pipeline's build.
@@ -66,6 +79,9 @@ pub struct Summary {
     pub pipeline: String,
     /// In order of input.
     pub assets: Vec<AssetSummary>,
+    /// Assets that are not listed since nothing about them changed; none unless [`Build::brief`](crate::Build::brief) asked for it.
+    #[serde(default)]
+    pub untouched: Untouched,
     /// Soft trouble: repairs, replacements, budgets missed.
     pub warnings: Vec<String>,
     /// Budgets that were not met, in words.
@@ -79,6 +95,20 @@ pub struct Summary {
 }
 
 impl Summary {
+    /// Of a build of `pipeline` that did nothing yet.
+    pub(crate) fn of(pipeline: &Path) -> Summary {
+        Summary {
+            pipeline: pipeline.display().to_string(),
+            assets: Vec::new(),
+            untouched: Untouched::default(),
+            warnings: Vec::new(),
+            short: Vec::new(),
+            errors: Vec::new(),
+            fresh: false,
+            seconds: 0.0,
+        }
+    }
+
     /// The exit code that it deserves. `deny_warnings`: soft trouble counts as a budget missed.
     pub fn exit(&self, deny_warnings: bool) -> Exit {
         if !self.errors.is_empty() {

@@ -14,6 +14,7 @@ mod damage;
 mod noop;
 mod reasons;
 mod rebuild;
+mod verify;
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -43,6 +43,8 @@ pub(crate) enum Command {
     Doctor(DoctorArgs),
     /// Print every stage kind with its keys, types and defaults
     Stage(StageArgs),
+    /// Print a CMake module with the function kiln_bake()
+    CmakeModule,
 }
 
 /// `kiln init`.
@@ -95,12 +97,21 @@ pub(crate) struct BuildArgs {
     /// Say for each stage why it runs
     #[arg(long)]
     pub(crate) explain: bool,
-    /// Say what would run, and run nothing
+    /// Say what would run, and run nothing; with --json also each asset's pipeline with all defaults filled in
     #[arg(long)]
     pub(crate) dry_run: bool,
     /// Go on with other assets when one fails
     #[arg(long)]
     pub(crate) keep_going: bool,
+    /// Write what the outputs depend on as a GCC-style depfile, for Ninja, Make and CMake; written only if it differs
+    #[arg(long, value_name = "FILE", conflicts_with = "dry_run")]
+    pub(crate) depfile: Option<PathBuf>,
+    /// Build twice in scratch caches, on different numbers of threads, and fail if a stage gave other bytes for the same inputs
+    #[arg(long, conflicts_with_all = ["dry_run", "depfile", "debug_images"])]
+    pub(crate) verify: bool,
+    /// Build again whenever something changes that the build looked at; Ctrl-C ends it
+    #[arg(long, conflicts_with_all = ["dry_run", "verify", "json"])]
+    pub(crate) watch: bool,
     /// Draw into DIR what stages see of textures: borders and the edges that cross them for `texture-border`, regions and views for
     /// metrics that look from views
     #[arg(long, value_name = "DIR")]

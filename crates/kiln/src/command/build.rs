@@ -1,13 +1,16 @@
 //! `kiln build`.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use kiln_pipeline::plan::PlanError;
+use kiln_engine::{ContentHash, Inconsistency, Verification};
+use kiln_pipeline::plan::{PlanError, folder_of};
 
 use super::args::BuildArgs;
+use super::watch::{self, Once};
 use super::{complain, data, diagnostics, progress};
 use crate::build::BuildError;
 use crate::debug_images::StagePicture;
@@ -28,16 +31,36 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
     if let Err(error) = handler {
         eprintln!("warning: Ctrl-C will end the build at once: {error}");
     }
+    if !args.watch {
+        return all(args, &cancel, false).exit;
+    }
+    let mut again = false;
+    watch::run(&cancel, &mut || all(args, &cancel, std::mem::replace(&mut again, true)))
+}
+
+/// Builds every pipeline once; `again`: what is fresh still needs no word.
+fn all(args: &BuildArgs, cancel: &Arc<AtomicBool>, again: bool) -> Once {
     let mut worst = Exit::Done;
     let mut reports = Vec::new();
+    let mut depfile = String::new();
+    let mut folders = BTreeSet::new();
+    let mut all_known = true;
     for pipeline in &args.pipelines {
         let mut build = args.plan.build(pipeline);
         build.jobs = args.jobs;
         build.keep_going = args.keep_going;
         build.dry_run = args.dry_run;
         build.debug_pictures = args.debug_images.is_some();
-        build.cancel = Arc::clone(&cancel);
+        build.brief = !args.json;
+        build.dependencies = args.depfile.is_some() || args.watch;
+        build.cancel = Arc::clone(cancel);
         let progress = progress::Progress::new(args.explain);
+        if args.verify {
+            let result = build.verify(&progress);
+            progress.finish();
+            worst = worst.max(result.map_or_else(|error| failed(&error), |found| show_verified(pipeline, &found)));
+            continue;
+        }
         let result = build.run(&progress);
         progress.finish();
         let exit = match result {
@@ -47,28 +70,70 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
                 if outcome.cancelled {
                     exit = Exit::Failed;
                 }
-                show(&outcome.summary, args.dry_run);
+                if !(again && outcome.summary.fresh) {
+                    show(&outcome.summary, args.dry_run);
+                }
+                if let Some(dependencies) = &outcome.dependencies {
+                    depfile.push_str(&crate::depfile(dependencies, &folder_of(pipeline)));
+                    watch::folders(dependencies, &folder_of(pipeline), &mut folders);
+                } else {
+                    all_known = false;
+                }
                 if let Some(folder) = &args.debug_images {
                     exit = exit.max(write_pictures(folder, &outcome.pictures));
                 }
                 reports.push(outcome.summary);
                 exit
             }
-            Err(error) => failed(&error),
+            Err(error) => {
+                all_known = false;
+                failed(&error)
+            }
         };
         worst = worst.max(exit);
         if worst >= Exit::Failed && !args.keep_going {
+            all_known = false;
             break;
         }
     }
-    if args.json {
+    if let Some(path) = &args.depfile
+        && !depfile.is_empty()
+        && fs::read(path).ok().as_deref() != Some(depfile.as_bytes())
+        && let Err(exit) = super::write(path, depfile.as_bytes())
+    {
+        worst = worst.max(exit);
+    }
+    if args.json && !args.verify {
         let report = match reports.as_slice() {
             [one] => serde_json::to_string_pretty(one),
             all => serde_json::to_string_pretty(all),
         };
         worst = worst.max(data(&report.expect("invariant: a summary is plain data")));
     }
-    worst
+    // A pipeline that is broken from the start is watched for its repair.
+    let pipelines = args.pipelines.iter().map(|pipeline| folder_of(pipeline)).filter(|folder| folder.is_dir());
+    folders.extend(pipelines);
+    Once { exit: worst, folders: (all_known || !again).then_some(folders) }
+}
+
+/// Says whether every stage gave the same bytes.
+fn show_verified(pipeline: &Path, found: &Verification) -> Exit {
+    for (label, error) in &found.failed {
+        eprintln!("error: {label}: {error}");
+    }
+    for Inconsistency { label, output, first, other, cached } in &found.inconsistent {
+        let shown = |hash: &Option<ContentHash>| hash.map_or_else(|| "none".into(), |hash| hash.short());
+        let (first, other) = (shown(first), shown(other));
+        let whence = if *cached { "the cache has" } else { "the second run gave" };
+        eprintln!("error: {label}: output `{output}` is {first}, {whence} {other}, for the same inputs");
+        if *cached {
+            eprintln!("  either the stage depends on more than its fingerprint covers, or its version was not raised");
+        }
+    }
+    let sound = found.failed.is_empty() && found.inconsistent.is_empty() && !found.cancelled;
+    let (compared, guilty) = (found.compared, found.inconsistent.len());
+    eprintln!("{}: {compared} stages ran twice, {guilty} of them gave other bytes", pipeline.display());
+    if sound { Exit::Done } else { Exit::Failed }
 }
 
 /// Writes debug pictures as PNG and says what each shows.
@@ -107,9 +172,10 @@ fn show(summary: &Summary, dry_run: bool) {
     for short in &summary.short {
         eprintln!("short: {short}");
     }
-    let stages: usize = summary.assets.iter().map(|asset| asset.stages.len()).sum();
+    let listed: usize = summary.assets.iter().map(|asset| asset.stages.len()).sum();
+    let stages = listed + summary.untouched.stages;
     if summary.fresh {
-        let assets = summary.assets.len();
+        let assets = summary.assets.len() + summary.untouched.assets;
         let what = if dry_run { "nothing would run" } else { "nothing to do" };
         eprintln!(
             "{}: {what}, {assets} assets and {stages} stages are fresh ({})",

@@ -9,6 +9,7 @@ mod doctor;
 mod init;
 mod progress;
 mod textures;
+mod watch;
 mod why;
 
 use std::path::Path;
@@ -44,6 +45,7 @@ pub fn main() -> ExitCode {
         Command::Compare(args) => compare::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Stage(args) => stage(args.kind.as_deref()),
+        Command::CmakeModule => data(include_str!("kiln.cmake")),
     }
     .into()
 }

@@ -14,6 +14,7 @@ use crate::files::{Files, GRANULARITY, Seen};
 use crate::hash::ContentHash;
 use crate::noop::{self, Noop, Watched};
 use crate::plan::{Plan, Source};
+use crate::remote::{Remote, RemoteReport};
 use crate::report::{BuildReport, Event, Observer, Why};
 use crate::state::{self, Last, State};
 use crate::store::Store;
@@ -84,6 +85,19 @@ impl Engine {
         Engine { store, state, opened_at: OnceLock::new(), seen: Vec::new(), granularity: GRANULARITY }
     }
 
+    /// Asks `remote` for what the cache lacks while [`Engine::build`] runs, and sends it what ran if its mode is to write.
+    ///
+    /// Dry runs and [`Engine::why`] do not ask it: they say what would be done without it.
+    pub fn with_remote(mut self, remote: Remote) -> Engine {
+        self.store = self.store.with_remote(remote);
+        self
+    }
+
+    /// What the remote did during the last build; `None` without one.
+    pub fn remote_report(&self) -> Option<RemoteReport> {
+        self.store.remote_report()
+    }
+
     /// If a build would find everything fresh by the stats of files alone: the note left by [`Engine::remember_noop`].
     ///
     /// Call it before the pipeline is read or folders are listed; where it finds work it makes the cache folder, to learn the file
@@ -120,7 +134,9 @@ impl Engine {
         observer.event(&Event::Planned { actions: plan.actions.len(), targets: plan.targets.len() });
         let files = Files::new(&plan.root, &self.store, &self.state, self.granularity, options.dry_run);
         let session = Session::new(plan, options, observer, &self.store, &self.state, files);
-        let Built { mut report, seen, lasts } = session.run();
+        let work = || session.run();
+        let built = if options.dry_run { work() } else { self.store.during(&options.cancel, work) };
+        let Built { mut report, seen, lasts } = built;
         if !options.dry_run {
             self.keep(plan, seen, lasts);
         }

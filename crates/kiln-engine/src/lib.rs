@@ -63,6 +63,7 @@ mod manifest;
 mod noop;
 mod plan;
 mod reason;
+mod remote;
 mod report;
 mod state;
 mod store;
@@ -77,7 +78,9 @@ pub use manifest::{Field, InputField, Manifest, Origin, Topic, Value};
 pub use noop::Noop;
 pub use plan::{Action, Input, Outputs, Plan, PlanDefect, Run, Source, Target};
 pub use reason::StaleReason;
+pub use remote::{PublicKey, Remote, RemoteError, RemoteMode, RemoteOptions, RemoteReport, SigningKey};
 pub use report::{
     ActionReport, ActionState, BuildReport, Event, NoObserver, Observer, OutputRecord, Record, TargetError,
     TargetReport, TargetState, Verdict, Why,
 };
+pub use store::{Cache, CacheStats, Count, GcOptions, GcReport, KindStats, VerifyReport};

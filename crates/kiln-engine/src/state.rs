@@ -154,6 +154,11 @@ impl State {
         self.last.get(id)
     }
 
+    /// All actions' last builds, by id.
+    pub(crate) fn lasts(&self) -> Vec<(&String, &Last)> {
+        sorted(&self.last)
+    }
+
     /// Notes a file's content.
     pub(crate) fn set_memo(&mut self, path: &str, stat: Stat, hash: ContentHash) {
         if self.memo.get(path) != Some(&(stat, hash)) {

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use kiln_engine::{
     ActionError, ActionState, BuildOptions, BuildReport, ContentHash, Engine, EngineError, Event, Noop, Observer,
-    TargetState, Verdict,
+    Remote, RemoteError, RemoteOptions, TargetState, Verdict,
 };
 use kiln_pipeline::language::{Diagnostic, Sources};
 use kiln_pipeline::plan::{PlanError, PlanOptions, Planned, folder_of, plan};
@@ -35,6 +35,8 @@ pub struct Build {
     pub keep_going: bool,
     /// Say what would run, run nothing.
     pub dry_run: bool,
+    /// A cache that others share, asked for what the own one lacks; `None`: no other. Never changes what comes out.
+    pub remote: Option<RemoteOptions>,
     /// Draw debug pictures of the stages that have any, fresh ones too. Changes nothing else.
     pub debug_pictures: bool,
     /// Set it to stop soon; nothing half is kept.
@@ -65,6 +67,9 @@ pub enum BuildError {
     /// The cache cannot be used.
     #[error(transparent)]
     Engine(#[from] EngineError),
+    /// The remote's address or settings make no sense.
+    #[error(transparent)]
+    Remote(#[from] RemoteError),
 }
 
 impl Build {
@@ -78,6 +83,7 @@ impl Build {
             jobs: None,
             keep_going: false,
             dry_run: false,
+            remote: None,
             debug_pictures: false,
             cancel: Arc::default(),
         }
@@ -138,6 +144,9 @@ impl Build {
             });
         }
         let planned = self.plan()?;
+        if let Some(options) = &self.remote {
+            engine = engine.with_remote(Remote::open(options.clone())?);
+        }
         let defaults = BuildOptions::default();
         let options = BuildOptions {
             jobs: self.jobs.unwrap_or(defaults.jobs).max(1),
@@ -150,6 +159,7 @@ impl Build {
         let report = engine.build(&planned.plan, &options, &peaks)?;
         let peaks = peaks.peaks.into_inner().unwrap_or_else(PoisonError::into_inner);
         let mut summary = summarise(&self.pipeline, &planned, &report, &peaks);
+        summary.remote = engine.remote_report();
         if !self.dry_run && report.succeeded() {
             let note = serde_json::to_vec(&as_fresh(&summary)).expect("invariant: a summary is plain data");
             let noop = Noop { key, files: planned.files.clone(), folders: planned.folders.clone(), note };
@@ -202,6 +212,7 @@ fn as_fresh(summary: &Summary) -> Summary {
         }
     }
     summary.fresh = true;
+    summary.remote = None;
     summary
 }
 
@@ -212,6 +223,7 @@ fn summarise(pipeline: &Path, planned: &Planned, report: &BuildReport, peaks: &[
         warnings: report.warnings.clone(),
         short: Vec::new(),
         errors: Vec::new(),
+        remote: None,
         fresh: report.nothing_to_do(),
         seconds: report.seconds,
     };

@@ -10,12 +10,13 @@
 //! # Ok::<(), kiln::BuildError>(())
 //! ```
 //!
-//! Reading order: [`build`] (what a build does beside the engine), [`summary`] (what it says afterwards), [`exit`] (the one table
+//! Reading order: [`build`] (what a build does beside the engine), [`config`] (the user's own settings), [`summary`] (what it says afterwards), [`exit`] (the one table
 //! of exit codes), [`debug_images`], [`worker`] (the child process around xatlas), `command` (the command line, behind the feature `cli`).
 
 pub mod build;
 #[cfg(feature = "cli")]
 pub mod command;
+pub mod config;
 pub mod debug_images;
 pub mod exit;
 pub mod memory;
@@ -23,6 +24,7 @@ pub mod summary;
 pub mod worker;
 
 pub use build::{Build, BuildError, Outcome, WhyOutcome, why};
+pub use config::{Config, ConfigError};
 pub use debug_images::StagePicture;
 pub use exit::Exit;
 pub use kiln_engine::{Event, NoObserver, Observer};

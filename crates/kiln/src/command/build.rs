@@ -10,6 +10,7 @@ use kiln_pipeline::plan::PlanError;
 use super::args::BuildArgs;
 use super::{complain, data, diagnostics, progress};
 use crate::build::BuildError;
+use crate::config::Config;
 use crate::debug_images::StagePicture;
 use crate::exit::Exit;
 use crate::summary::{StageState, Summary, seconds};
@@ -28,6 +29,11 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
     if let Err(error) = handler {
         eprintln!("warning: Ctrl-C will end the build at once: {error}");
     }
+    let mode = args.remote_mode.map(Into::into);
+    let remote = match Config::load().and_then(|config| config.remote(args.remote.as_deref(), mode)) {
+        Ok(remote) => remote,
+        Err(error) => return complain(Exit::Usage, &error.to_string()),
+    };
     let mut worst = Exit::Done;
     let mut reports = Vec::new();
     for pipeline in &args.pipelines {
@@ -35,6 +41,7 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
         build.jobs = args.jobs;
         build.keep_going = args.keep_going;
         build.dry_run = args.dry_run;
+        build.remote = remote.clone();
         build.debug_pictures = args.debug_images.is_some();
         build.cancel = Arc::clone(&cancel);
         let progress = progress::Progress::new(args.explain);

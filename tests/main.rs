@@ -7,6 +7,7 @@
 mod space;
 
 mod bake;
+mod cache;
 mod command;
 mod compare;
 mod container;

@@ -149,7 +149,9 @@ impl Config {
         let mut options = RemoteOptions { mode, ..RemoteOptions::new(url) };
         for text in &self.remote.trusted_keys {
             let key: Result<PublicKey, _> = text.parse();
-            options.trusted_keys.push(key.map_err(|_| value_error("remote.trusted_keys", format!("`{text}` is not 64 hexadecimal digits")))?);
+            options.trusted_keys.push(
+                key.map_err(|_| value_error("remote.trusted_keys", format!("`{text}` is not 64 hexadecimal digits")))?,
+            );
         }
         if let Some(path) = self.remote.sign_with.as_ref().filter(|_| mode == RemoteMode::Write) {
             options.sign_with = Some(signing_key(path)?);
@@ -171,7 +173,8 @@ impl Config {
 /// It cannot be read, or is something else.
 pub fn signing_key(path: &Path) -> Result<SigningKey, ConfigError> {
     let text = fs::read_to_string(path).map_err(|error| ConfigError::Unreadable { path: path.to_owned(), error })?;
-    text.parse().map_err(|_| value_error("remote.sign_with", format!("{} does not hold 64 hexadecimal digits", path.display())))
+    text.parse()
+        .map_err(|_| value_error("remote.sign_with", format!("{} does not hold 64 hexadecimal digits", path.display())))
 }
 
 fn parse_mode(place: &'static str, text: &str) -> Result<RemoteMode, ConfigError> {
@@ -251,7 +254,8 @@ mod tests {
     #[test]
     fn the_file_says_which_remote_and_whom_to_trust() {
         let parse = |text: &str| Config::parse(text, Path::new("config.toml"));
-        let config = parse("[remote]\nurl = 's3://b/p'\nmode = 'write'\ncheck = 0.5\nsettings = { region = 'x' }").unwrap();
+        let config =
+            parse("[remote]\nurl = 's3://b/p'\nmode = 'write'\ncheck = 0.5\nsettings = { region = 'x' }").unwrap();
         let options = config.remote(Some("/share"), None).unwrap().unwrap();
         assert_eq!((options.url.as_str(), options.mode, options.check_share), ("/share", RemoteMode::Write, 0.5));
         assert_eq!(options.settings, [("region".to_owned(), "x".to_owned())]);

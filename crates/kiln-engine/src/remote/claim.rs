@@ -53,7 +53,8 @@ pub(crate) fn open_record(
     let (object, signature) = split_signature(bytes);
     if !trusted.is_empty() {
         let (key, signature) = signature.ok_or("is not signed")?;
-        let key = trusted.iter().find(|trusted| trusted.0[..] == *key).ok_or("is signed by a key that is not trusted")?;
+        let key =
+            trusted.iter().find(|trusted| trusted.0[..] == *key).ok_or("is signed by a key that is not trusted")?;
         let message = signed_message(object).ok_or("is too short")?;
         if !key.verifies(&message, signature) {
             return Err("has a wrong signature");

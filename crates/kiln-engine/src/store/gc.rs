@@ -148,8 +148,9 @@ impl Store {
             state.load();
             for (id, last) in state.lasts() {
                 let output = id.split('#').next().unwrap_or(id);
-                let by = wanted.iter().filter(|pin| pins(pin, output));
-                let pinned = by.inspect(|pin| drop(met.insert(pin.as_str()))).count() > 0;
+                let by: Vec<&str> = wanted.iter().map(String::as_str).filter(|pin| pins(pin, output)).collect();
+                let pinned = !by.is_empty();
+                met.extend(by);
                 for path in self.paths_of(last) {
                     let known = named.entry(path).or_insert((time, pinned));
                     *known = (known.0.max(time), known.1 || pinned);

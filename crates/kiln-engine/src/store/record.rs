@@ -70,9 +70,9 @@ impl Store {
     /// Local lists, then, if those are used up, the remote's.
     pub(crate) fn lists(&self, declared: &Fingerprint) -> impl Iterator<Item = Vec<String>> {
         let declared = *declared;
-        self.local_lists(&declared).into_iter().chain(
-            std::iter::once_with(move || self.claimed_lists(&declared)).flatten(),
-        )
+        self.local_lists(&declared)
+            .into_iter()
+            .chain(std::iter::once_with(move || self.claimed_lists(&declared)).flatten())
     }
 
     /// Keeps a list of files.
@@ -83,12 +83,7 @@ impl Store {
         Ok(())
     }
 
-    pub(super) fn put_local_list(
-        &self,
-        declared: &Fingerprint,
-        list: &[String],
-        sync: bool,
-    ) -> Result<bool, IoError> {
+    pub(super) fn put_local_list(&self, declared: &Fingerprint, list: &[String], sync: bool) -> Result<bool, IoError> {
         let name = ContentHash::of(list.join("\n").as_bytes()).hex();
         let path = self.list_folder(declared).join(name);
         match fs::metadata(&path) {
@@ -105,11 +100,8 @@ impl Store {
             disk::create_folder(folder)?;
         }
         let temporary = self.write_temporary(&[&sealed(value)], sync)?;
-        let named = if replace {
-            disk::rename(&temporary, path).map(|()| true)
-        } else {
-            disk::rename_if_new(&temporary, path)
-        };
+        let named =
+            if replace { disk::rename(&temporary, path).map(|()| true) } else { disk::rename_if_new(&temporary, path) };
         if named.is_err() {
             let _ = disk::remove(&temporary);
         }

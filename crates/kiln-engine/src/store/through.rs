@@ -210,9 +210,11 @@ impl Store {
     }
 
     // --- checking ---
+    // For `build --verify`: run what `wants_check`, compare the records' outputs, `refute` where they differ.
 
     /// Whether this record came from the remote during this build and belongs to the sample that a verifying build recomputes.
     /// The sample goes by the fingerprint, so that it is the same on every run.
+    #[allow(dead_code, reason = "called by builds that verify")]
     pub(crate) fn wants_check(&self, fingerprint: &Fingerprint) -> bool {
         let Some(remote) = &self.remote else { return false };
         let number = u32::from_le_bytes([fingerprint.0[0], fingerprint.0[1], fingerprint.0[2], fingerprint.0[3]]);
@@ -221,12 +223,14 @@ impl Store {
     }
 
     /// Whether this record came from the remote during this build.
+    #[allow(dead_code, reason = "called by builds that verify")]
     pub(crate) fn is_claim(&self, fingerprint: &Fingerprint) -> bool {
         lock(&self.claims).contains(fingerprint)
     }
 
     /// Takes note that running an action gave `made` where the remote claimed something else: `made` is the truth from now on,
     /// here, and in the remote if we may write.
+    #[allow(dead_code, reason = "called by builds that verify")]
     pub(crate) fn refute(&self, made: &Record, sync: bool) -> Result<(), crate::error::IoError> {
         lock(&self.claims).remove(&made.fingerprint);
         if let Some(remote) = &self.remote {

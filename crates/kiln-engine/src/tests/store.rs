@@ -61,26 +61,28 @@ fn a_young_build_state_keeps_what_it_names() {
 fn collection_by_size_removes_the_longest_unused_first() {
     let mut toy = Toy::new();
     toy.build();
-    let first = files_under(&toy.path(".kiln/v1/blobs"));
     for folder in ["actions", "lists", "blobs"] {
         age(&toy, folder, 5);
     }
     toy.recipe.factor = 2.0;
     toy.build();
     fs::remove_dir_all(toy.path(".kiln/v1/state")).unwrap();
-    let all = cache(&toy).gc(&GcOptions::default()).unwrap();
-    let most = all.bytes - 1;
-    let done = cache(&toy).gc(&GcOptions { max_bytes: Some(most), ..GcOptions::default() }).unwrap();
-    assert_eq!(done.removed_files, 1);
-    // What the second build read was dated anew; what it did not read is the oldest.
-    let young: u64 = files_under(&toy.path(".kiln/v1"))
-        .iter()
-        .filter(|path| !first.contains(path) && path.to_string_lossy().contains("blobs"))
-        .map(|path| fs::metadata(path).unwrap().len())
-        .sum();
-    cache(&toy).gc(&GcOptions { max_bytes: Some(young), ..GcOptions::default() }).unwrap();
-    let left = files_under(&toy.path(".kiln/v1/blobs"));
-    assert!(!left.is_empty() && left.iter().all(|blob| !first.contains(blob)), "the new blobs outlive the old");
+    let all = || {
+        let stat = |path: PathBuf| fs::metadata(&path).map(|it| (mtime(&it), path, it.len())).unwrap();
+        let folders = ["actions", "lists", "blobs"].map(|folder| toy.path(".kiln/v1").join(folder));
+        let mut all: Vec<_> = folders.iter().flat_map(|folder| files_under(folder)).map(stat).collect();
+        all.sort();
+        all
+    };
+    let before = all();
+    let old = before.iter().filter(|(time, ..)| *time < before[before.len() - 1].0 - DAY).count();
+    // What the second build read of the first one's was dated anew.
+    assert!(old > 4 && old < before.len() - 4, "{old} of {}", before.len());
+    for gone in [1, old, before.len() - 1, before.len()] {
+        let most = before[gone..].iter().map(|(_, _, bytes)| bytes).sum();
+        cache(&toy).gc(&GcOptions { max_bytes: Some(most), ..GcOptions::default() }).unwrap();
+        assert_eq!(all(), before[gone..], "of {} files the {gone} longest unused go", before.len());
+    }
     fs::remove_file(toy.path("build/pot.out")).unwrap();
     assert!(toy.build().0.succeeded());
     assert_eq!(toy.read("build/pot.out"), "A POT\nUSE A.PNG\nUSE B.PNG\nA POT\nUSE A.PNG\nUSE B.PNG\n|apple|banana");
@@ -169,7 +171,10 @@ fn verification_finds_every_damaged_and_every_stray_file() {
     assert!(sound.damaged.is_empty(), "{sound:?}");
     let stats = cache(&toy).stats().unwrap();
     assert_eq!((stats.records.files, stats.blobs.files, stats.leases), (4, sound.blobs, 0));
-    assert_eq!(stats.kinds.iter().map(|kind| kind.kind.as_str()).collect::<Vec<_>>(), ["import", "pack", "shout", "strip"]);
+    assert_eq!(
+        stats.kinds.iter().map(|kind| kind.kind.as_str()).collect::<Vec<_>>(),
+        ["import", "pack", "shout", "strip"]
+    );
 
     let mut spoiled = 0;
     for folder in ["actions", "lists", "blobs"] {
@@ -228,7 +233,10 @@ fn with_room(folder: &str, room: usize) -> bool {
             false
         }
     };
-    assert!(files_under(&toy.path(".kiln/v1/tmp")).is_empty(), "{room} bytes: a full disk must not stay full of halves");
+    assert!(
+        files_under(&toy.path(".kiln/v1/tmp")).is_empty(),
+        "{room} bytes: a full disk must not stay full of halves"
+    );
     ROOMS.lock().unwrap().retain(|(folder, _)| *folder != path);
     let (report, _) = toy.build();
     assert!(report.succeeded(), "{room} bytes: {report:#?}");
@@ -285,9 +293,11 @@ fn a_full_file_system_is_a_diagnostic_and_no_damage() {
     let filler = toy.path(".kiln/filler");
     let mut length = 128 << 10;
     while length > 0 {
-        let _ = fs::OpenOptions::new().append(true).create(true).open(&filler).map(|mut file| {
-            std::io::Write::write_all(&mut file, &vec![1; length])
-        });
+        let _ = fs::OpenOptions::new()
+            .append(true)
+            .create(true)
+            .open(&filler)
+            .map(|mut file| std::io::Write::write_all(&mut file, &vec![1; length]));
         length /= 2;
     }
     toy.write("models/pot.txt", "a jar\nuse a.png\n");
@@ -359,7 +369,8 @@ fn look(store: &Store, number: u64) {
 }
 
 fn store_at(folder: &Path) -> Store {
-    let options = RemoteOptions { mode: RemoteMode::Write, ..RemoteOptions::new(folder.join("remote").display().to_string()) };
+    let options =
+        RemoteOptions { mode: RemoteMode::Write, ..RemoteOptions::new(folder.join("remote").display().to_string()) };
     Store::new(folder.join("cache")).with_remote(Remote::open(options).unwrap())
 }
 
@@ -458,7 +469,10 @@ fn killed_writers_and_collectors_leave_nothing_that_is_served_wrong() {
         }
     }
     // Without spoiled files and killed workers, and without anything served, this would prove nothing.
-    assert!(killed as u64 >= rounds && spoiled as u64 >= rounds && served as u64 >= rounds, "{killed} {spoiled} {served}");
+    assert!(
+        killed as u64 >= rounds && spoiled as u64 >= rounds && served as u64 >= rounds,
+        "{killed} {spoiled} {served}"
+    );
     let store = store_at(folder.path());
     store.during(&Arc::default(), || {
         for number in 0..KEYS {

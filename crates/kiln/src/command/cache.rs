@@ -94,7 +94,9 @@ fn verified(report: &VerifyReport, as_json: bool) -> Exit {
     );
     if report.incomplete_records > 0 {
         let count = report.incomplete_records;
-        text.push_str(&format!("{count} records have outputs that are gone: those stages run again when somebody reads them\n"));
+        text.push_str(&format!(
+            "{count} records have outputs that are gone: those stages run again when somebody reads them\n"
+        ));
     }
     exit.max(data(&text))
 }
@@ -130,7 +132,9 @@ fn options(args: &CacheGcArgs) -> Result<GcOptions, Exit> {
     for path in &args.pin_lists {
         let text = std::fs::read_to_string(path);
         let text = text.map_err(|error| complain(Exit::Failed, &format!("cannot read {}: {error}", path.display())))?;
-        pins.extend(text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#')).map(str::to_owned));
+        pins.extend(
+            text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#')).map(str::to_owned),
+        );
     }
     Ok(GcOptions {
         max_bytes: size.map(|text| parse_size(text)).transpose().map_err(usage)?,

@@ -467,7 +467,7 @@ fn through_moody(options: RemoteOptions, mood: fn(&Until<'_>, bool) -> Result<bo
 fn hang(until: &Until<'_>, _writing: bool) -> Result<bool, Fault> {
     loop {
         until.left()?;
-        std::thread::yield_now();
+        std::thread::park_timeout(Duration::from_millis(1));
     }
 }
 
@@ -531,7 +531,7 @@ fn a_cancelled_build_does_not_wait_for_the_remote() {
     let report = std::thread::scope(|scope| {
         scope.spawn(|| {
             while asked.load(Ordering::Relaxed) == 0 {
-                std::thread::yield_now();
+                std::thread::park_timeout(Duration::from_millis(1));
             }
             cancel.store(true, Ordering::Relaxed);
         });

@@ -26,13 +26,14 @@ impl Moto {
             .spawn()
             .ok()?;
         let mut moto = Moto(child, port);
-        let bucket = format!("PUT /kiln HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
+        let bucket =
+            format!("PUT /kiln HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
         loop {
             if moto.0.try_wait().ok()?.is_some() {
                 return None;
             }
             let Ok(mut stream) = TcpStream::connect(("127.0.0.1", port)) else {
-                std::thread::yield_now();
+                std::thread::park_timeout(Duration::from_millis(20));
                 continue;
             };
             let mut answer = String::new();

@@ -146,8 +146,11 @@ impl Summary {
         if let Some(remote) = &self.remote {
             let (hits, sent) = (remote.hits, remote.sent);
             let (down, up) = (bytes(remote.bytes_received), bytes(remote.bytes_sent));
-            let _ =
-                write!(out, "  remote cache: {hits} stages taken ({})", if down.is_empty() { "0 B" } else { &down });
+            let _ = write!(
+                out,
+                "  remote cache: {hits} stages taken ({})",
+                if down.is_empty() { "0 B" } else { down.as_str() }
+            );
             let _ = if sent > 0 { writeln!(out, ", {sent} sent ({up})") } else { writeln!(out) };
         }
         out

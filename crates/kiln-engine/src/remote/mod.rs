@@ -22,6 +22,7 @@
 //!
 //! # Limits
 //! A record is taken only with all its blobs, so a hit downloads what the build may not need. Blobs are sent whole, in memory.
+//! Only what ran is sent: what a local cache knew before is not.
 //! Readers of S3 need leave to list the bucket: without it an absent key answers "forbidden", and kiln gives up.
 //! HTTP has no "create if new" here: two writers at one moment may replace a record by an equal claim.
 //!

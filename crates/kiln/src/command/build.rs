@@ -101,7 +101,8 @@ pub(super) fn failed(error: &BuildError) -> Exit {
         diagnostics::show(list, sources);
         return if plan.is_usage() { Exit::Usage } else { Exit::Failed };
     }
-    complain(Exit::Failed, &error.to_string())
+    let exit = if matches!(error, BuildError::Remote(_)) { Exit::Usage } else { Exit::Failed };
+    complain(exit, &error.to_string())
 }
 
 fn show(summary: &Summary, dry_run: bool) {

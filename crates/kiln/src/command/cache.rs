@@ -1,6 +1,6 @@
 //! `kiln cache`: what lies in a cache, what may go, whether it is whole.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use kiln_engine::{Cache, CacheStats, GcOptions, GcReport, VerifyReport};
 use serde::Serialize;
@@ -169,7 +169,7 @@ fn collected(report: &GcReport, dry_run: bool) -> String {
 }
 
 /// Prints the public key of a secret one.
-fn key(file: &PathBuf) -> Exit {
+fn key(file: &Path) -> Exit {
     match signing_key(file) {
         #[cfg(feature = "remote")]
         Ok(key) => data(&key.public().to_string()),

@@ -8,6 +8,7 @@ mod space;
 
 mod bake;
 mod buildsystems;
+mod cache;
 mod command;
 mod compare;
 mod container;

@@ -170,7 +170,7 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 }
 
 /// A path of plain components only; where it may go `outside`, with steps up too.
-fn is_inside(relative: &str, outside: bool) -> bool {
+pub(crate) fn is_inside(relative: &str, outside: bool) -> bool {
     let plain = |component: Component<'_>| match component {
         Component::Normal(_) => true,
         Component::ParentDir => outside,

@@ -2,8 +2,8 @@
 
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Write};
-use std::path::Path;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
@@ -70,23 +70,55 @@ pub(crate) fn create_folder(path: &Path) -> Result<(), IoError> {
 
 /// Writes a file from its start; `sync` waits until the device has it.
 pub(crate) fn write(path: &Path, parts: &[&[u8]], sync: bool) -> Result<(), IoError> {
-    step();
-    let mut file = File::create(path).map_err(IoError::new("create", path))?;
+    let mut writer = Writer::create(path)?;
     for part in parts {
-        write_part(&mut file, part).map_err(IoError::new("write", path))?;
+        writer.push(part)?;
     }
-    if sync {
+    writer.finish(sync)
+}
+
+/// A file that is written as its bytes arrive.
+pub(crate) struct Writer {
+    path: PathBuf,
+    file: File,
+}
+
+impl Writer {
+    /// A new file.
+    pub(crate) fn create(path: &Path) -> Result<Writer, IoError> {
         step();
-        file.sync_all().map_err(IoError::new("write", path))?;
+        let file = File::create(path).map_err(IoError::new("create", path))?;
+        Ok(Writer { path: path.to_owned(), file })
     }
-    Ok(())
+
+    /// Appends.
+    pub(crate) fn push(&mut self, bytes: &[u8]) -> Result<(), IoError> {
+        write_part(&mut self.file, bytes, &self.path).map_err(IoError::new("write", &self.path))
+    }
+
+    /// Ends the file; `sync` waits until the device has it.
+    pub(crate) fn finish(self, sync: bool) -> Result<(), IoError> {
+        if sync {
+            step();
+            self.file.sync_all().map_err(IoError::new("write", &self.path))?;
+        }
+        Ok(())
+    }
+}
+
+/// Dates a file: nanoseconds since 1970. What cannot be dated looks unused, which costs time only.
+pub(crate) fn set_mtime(path: &Path, time: i64) {
+    let Ok(file) = File::open(path) else { return };
+    if let Ok(since) = u64::try_from(time) {
+        let _ = file.set_modified(UNIX_EPOCH + Duration::from_nanos(since));
+    }
 }
 
 /// Appends to a file that exists.
 pub(crate) fn append(path: &Path, bytes: &[u8]) -> Result<(), IoError> {
     step();
     let mut file = OpenOptions::new().append(true).open(path).map_err(IoError::new("open", path))?;
-    write_part(&mut file, bytes).map_err(IoError::new("append to", path))
+    write_part(&mut file, bytes, path).map_err(IoError::new("append to", path))
 }
 
 /// Cuts a file.
@@ -96,7 +128,8 @@ pub(crate) fn truncate(path: &Path, length: u64) -> Result<(), IoError> {
     file.set_len(length).map_err(IoError::new("cut", path))
 }
 
-fn write_part(file: &mut File, bytes: &[u8]) -> io::Result<()> {
+fn write_part(file: &mut File, bytes: &[u8], path: &Path) -> io::Result<()> {
+    room_for(bytes.len(), path)?;
     // Two halves in tests, with a step between: a kill may leave any part of a write.
     let half = if cfg!(test) { bytes.len() / 2 } else { 0 };
     if half > 0 {
@@ -150,6 +183,29 @@ fn step() {
         std::process::abort();
     }
 }
+
+#[cfg(not(test))]
+fn room_for(_length: usize, _path: &Path) -> io::Result<()> {
+    Ok(())
+}
+
+/// Refuses a write under a folder that a test filled up.
+#[cfg(test)]
+fn room_for(length: usize, path: &Path) -> io::Result<()> {
+    let mut rooms = ROOMS.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    for (folder, room) in rooms.iter_mut().filter(|(folder, _)| path.starts_with(folder)) {
+        if length > *room {
+            let name = folder.display();
+            return Err(io::Error::new(io::ErrorKind::StorageFull, format!("no space left under {name} (a test)")));
+        }
+        *room -= length;
+    }
+    Ok(())
+}
+
+/// Folders with the bytes that may still be written under each.
+#[cfg(test)]
+pub(crate) static ROOMS: std::sync::Mutex<Vec<(PathBuf, usize)>> = std::sync::Mutex::new(Vec::new());
 
 /// Steps taken so far in this process.
 #[cfg(test)]

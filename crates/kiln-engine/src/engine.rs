@@ -14,6 +14,7 @@ use crate::hash::ContentHash;
 use crate::index::{Content, Index, Line};
 use crate::noop::{self, Look};
 use crate::plan::Plan;
+use crate::remote::{Remote, RemoteReport};
 use crate::report::{BuildReport, Event, Observer, Why};
 use crate::state::{Last, State};
 use crate::store::Store;
@@ -106,6 +107,19 @@ impl Engine {
             seen: Vec::new(),
             granularity: GRANULARITY,
         }
+    }
+
+    /// Asks `remote` for what the cache lacks while [`Engine::build`] runs, and sends it what ran if its mode is to write.
+    ///
+    /// Dry runs and [`Engine::why`] do not ask it: they say what would be done without it.
+    pub fn with_remote(mut self, remote: Remote) -> Engine {
+        self.store = self.store.with_remote(remote);
+        self
+    }
+
+    /// What the remote did during the last build; `None` without one.
+    pub fn remote_report(&self) -> Option<RemoteReport> {
+        self.store.remote_report()
     }
 
     /// Which assets can have anything to do, by the stats and contents of files alone: a stat for each file.
@@ -229,7 +243,9 @@ impl Engine {
         let index = self.take_index();
         let files = Files::new(&plan.root, &self.store, index.as_ref(), self.granularity, options.dry_run);
         let session = Session::new(plan, options, observer, &self.store, &self.state, files);
-        let Built { mut report, seen, lasts } = session.run();
+        let work = || session.run();
+        let built = if options.dry_run { work() } else { self.store.during(&options.cancel, work) };
+        let Built { mut report, seen, lasts } = built;
         self.index = Some(index);
         if !options.dry_run {
             self.keep(plan, &report, seen, lasts);

@@ -66,6 +66,7 @@ mod noop;
 mod plan;
 mod reason;
 mod remember;
+mod remote;
 mod report;
 mod state;
 mod store;
@@ -82,8 +83,10 @@ pub use noop::{Group, Look, Memory};
 pub use plan::{Action, Input, Outputs, Plan, PlanDefect, Run, Source, Target};
 pub use reason::StaleReason;
 pub use remember::{AssetFiles, Dependencies};
+pub use remote::{PublicKey, Remote, RemoteError, RemoteMode, RemoteOptions, RemoteReport, SigningKey};
 pub use report::{
     ActionReport, ActionState, BuildReport, Event, NoObserver, Observer, OutputRecord, Record, TargetError,
     TargetReport, TargetState, Verdict, Why,
 };
+pub use store::{Cache, CacheStats, Count, GcOptions, GcReport, KindStats, VerifyReport};
 pub use verify::{Around, Inconsistency, Verification};

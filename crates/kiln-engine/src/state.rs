@@ -191,6 +191,11 @@ impl State {
         self.last.get(id).map(|(last, ..)| last)
     }
 
+    /// All actions' last builds, by id.
+    pub(crate) fn lasts(&self) -> impl Iterator<Item = (&str, &Last)> {
+        self.last.iter().map(|(id, (last, ..))| (id.as_str(), last))
+    }
+
     /// The frames that say so: the head's and its own. After `save`.
     pub(crate) fn frames_of(&self, id: &str) -> Option<[Frame; 2]> {
         let (_, head, frame) = self.last.get(id)?;

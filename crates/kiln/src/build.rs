@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use kiln_engine::{
     ActionError, ActionState, BuildOptions, BuildReport, ContentHash, Dependencies, Engine, EngineError, Event, Group,
-    Look, Memory, Observer, TargetState, Verdict, Verification,
+    Look, Memory, Observer, Remote, RemoteError, RemoteOptions, TargetState, Verdict, Verification,
 };
 use kiln_pipeline::language::{Diagnostic, Sources};
 use kiln_pipeline::plan::{PlanError, PlanOptions, Planned, PlannedAsset, folder_of, plan};
@@ -35,6 +35,8 @@ pub struct Build {
     pub keep_going: bool,
     /// Say what would run, run nothing.
     pub dry_run: bool,
+    /// A cache that others share, asked for what the own one lacks; `None`: no other. Never changes what comes out.
+    pub remote: Option<RemoteOptions>,
     /// Draw debug pictures of the stages that have any, fresh ones too. Changes nothing else.
     pub debug_pictures: bool,
     /// Count the assets about which nothing changed instead of listing them in the summary.
@@ -71,6 +73,9 @@ pub enum BuildError {
     /// The cache cannot be used.
     #[error(transparent)]
     Engine(#[from] EngineError),
+    /// The remote's address or settings make no sense.
+    #[error(transparent)]
+    Remote(#[from] RemoteError),
 }
 
 impl Build {
@@ -84,6 +89,7 @@ impl Build {
             jobs: None,
             keep_going: false,
             dry_run: false,
+            remote: None,
             debug_pictures: false,
             brief: false,
             dependencies: false,
@@ -181,6 +187,9 @@ impl Build {
                 self.plan(None)?
             }
         };
+        if let Some(options) = &self.remote {
+            engine = engine.with_remote(Remote::open(options.clone())?);
+        }
         let peaks = Peaks { inner: observer, peaks: Mutex::new(vec![None; planned.plan.actions.len()]) };
         let report = engine.build(&planned.plan, &options, &peaks)?;
         let peaks = peaks.peaks.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -190,6 +199,7 @@ impl Build {
             false => engine.remember(&planned.plan, &report, &memory(key, &planned, &parts)),
         };
         let mut summary = self.summary(&report, parts);
+        summary.remote = engine.remote_report();
         summary.warnings.extend(kept.err().map(|error| format!("{error}; the next build will look closer")));
         if partial {
             self.add_untouched(&mut summary, &engine);

@@ -10,13 +10,14 @@
 //! # Ok::<(), kiln::BuildError>(())
 //! ```
 //!
-//! Reading order: [`build`] (what a build does beside the engine), [`summary`] (what it says afterwards), [`exit`] (the one table
+//! Reading order: [`build`] (what a build does beside the engine), [`config`] (the user's own settings), [`summary`] (what it says afterwards), [`exit`] (the one table
 //! of exit codes), [`dependencies`] (depfiles, Cargo's lines), [`debug_images`],
 //! [`worker`] (the child process around xatlas), `command` (the command line, behind the feature `cli`).
 
 pub mod build;
 #[cfg(feature = "cli")]
 pub mod command;
+pub mod config;
 pub mod debug_images;
 pub mod dependencies;
 pub mod exit;
@@ -25,6 +26,7 @@ pub mod summary;
 pub mod worker;
 
 pub use build::{Build, BuildError, Outcome, WhyOutcome, why};
+pub use config::{Config, ConfigError};
 pub use debug_images::StagePicture;
 pub use dependencies::{cargo_lines, depfile};
 pub use exit::Exit;

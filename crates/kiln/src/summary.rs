@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use kiln_engine::RemoteReport;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -88,6 +89,9 @@ pub struct Summary {
     pub short: Vec<String>,
     /// What failed, in words, each defect its own entry.
     pub errors: Vec<String>,
+    /// What the remote cache did, if one was asked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub remote: Option<RemoteReport>,
     /// Whether nothing ran and nothing was written.
     pub fresh: bool,
     /// Wall time, seconds.
@@ -104,6 +108,7 @@ impl Summary {
             warnings: Vec::new(),
             short: Vec::new(),
             errors: Vec::new(),
+            remote: None,
             fresh: false,
             seconds: 0.0,
         }
@@ -168,6 +173,16 @@ impl Summary {
         }
         for asset in &self.assets {
             let _ = writeln!(out, "  {} {} ({})", asset.output, asset.state, bytes(asset.bytes));
+        }
+        if let Some(remote) = &self.remote {
+            let (hits, sent) = (remote.hits, remote.sent);
+            let (down, up) = (bytes(remote.bytes_received), bytes(remote.bytes_sent));
+            let _ = write!(
+                out,
+                "  remote cache: {hits} stages taken ({})",
+                if down.is_empty() { "0 B" } else { down.as_str() }
+            );
+            let _ = if sent > 0 { writeln!(out, ", {sent} sent ({up})") } else { writeln!(out) };
         }
         out
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::Session;
-use crate::context::join;
+use crate::context::{is_inside, join};
 use crate::disk;
 use crate::error::{ActionError, IoError};
 use crate::hash::{ContentHash, Fingerprint};
@@ -44,7 +44,9 @@ impl Session<'_> {
         let mut tried = Vec::new();
         // The list of the last build first: it is in memory and nearly always right. The store's lists only if it is not.
         for list in last_list.into_iter().chain(std::iter::once_with(|| self.store.lists(&fingerprint)).flatten()) {
-            if tried.contains(&list) {
+            // A list may come from elsewhere: it names only what the action itself may read.
+            let outside = self.plan.actions[action].outside;
+            if tried.contains(&list) || !list.iter().all(|path| is_inside(path, outside)) {
                 continue;
             }
             let manifest = declared.with_discovered(&self.contents(folder, &list)?);

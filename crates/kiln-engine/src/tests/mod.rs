@@ -14,6 +14,8 @@ mod damage;
 mod noop;
 mod reasons;
 mod rebuild;
+mod remote;
+mod store;
 mod verify;
 
 use std::fs;

@@ -45,6 +45,8 @@ pub(crate) enum Command {
     Stage(StageArgs),
     /// Print a CMake module with the function kiln_bake()
     CmakeModule,
+    /// Look after a cache: what lies in it, what may go, whether it is whole
+    Cache(CacheArgs),
 }
 
 /// `kiln init`.
@@ -116,12 +118,83 @@ pub(crate) struct BuildArgs {
     /// metrics that look from views
     #[arg(long, value_name = "DIR")]
     pub(crate) debug_images: Option<PathBuf>,
+    /// A cache that others share: a folder, s3://, gs://, az://, http://; `off` for none [default: KILN_REMOTE, else the configuration]
+    #[arg(long, value_name = "URL")]
+    pub(crate) remote: Option<String>,
+    /// Take from the remote, or take and send [default: KILN_REMOTE_MODE, else the configuration, else read]
+    #[arg(long, value_enum, value_name = "MODE")]
+    pub(crate) remote_mode: Option<RemoteModeArg>,
     /// `warnings`: exit 1 when anything was repaired or replaced
     #[arg(long, value_name = "WHAT", value_parser = ["warnings"])]
     pub(crate) deny: Option<String>,
     /// Print the report as JSON on standard output
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+/// What a build may do with the remote.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum RemoteModeArg {
+    /// Take what it has: for people
+    Read,
+    /// Take what it has, send what ran: for CI
+    Write,
+}
+
+/// `kiln cache`.
+#[derive(Args, Debug)]
+pub(crate) struct CacheArgs {
+    #[command(subcommand)]
+    pub(crate) command: CacheCommand,
+}
+
+/// What to do with a cache.
+#[derive(Subcommand, Debug)]
+pub(crate) enum CacheCommand {
+    /// Count records and blobs, by kind of stage
+    Stats(CachePlace),
+    /// Remove what was not used for long, and what is too much; builds may be at work
+    Gc(CacheGcArgs),
+    /// Read everything; move aside what does not verify (exit 1 if anything)
+    Verify(CachePlace),
+    /// Print the public key of a secret one that signs records: a file of 64 hexadecimal digits (openssl rand -hex 32)
+    Key {
+        /// The secret key's file
+        file: PathBuf,
+    },
+}
+
+/// Which cache.
+#[derive(Args, Debug)]
+pub(crate) struct CachePlace {
+    /// The cache's folder [default: .kiln]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) cache: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// `kiln cache gc`.
+#[derive(Args, Debug)]
+pub(crate) struct CacheGcArgs {
+    #[command(flatten)]
+    pub(crate) place: CachePlace,
+    /// What may stay, such as 20GB or 512MiB; the longest unused goes first [default: the configuration's]
+    #[arg(long, value_name = "SIZE")]
+    pub(crate) max_size: Option<String>,
+    /// Remove what was not used for so long, such as 30d or 12h [default: the configuration's]
+    #[arg(long, value_name = "AGE")]
+    pub(crate) max_age: Option<String>,
+    /// Keep what the last build of this output read or made; may be repeated
+    #[arg(long = "pin", value_name = "OUTPUT")]
+    pub(crate) pins: Vec<String>,
+    /// Keep it for all outputs in FILE, one a line
+    #[arg(long = "pins", value_name = "FILE")]
+    pub(crate) pin_lists: Vec<PathBuf>,
+    /// Say what would go, and remove nothing
+    #[arg(long)]
+    pub(crate) dry_run: bool,
 }
 
 /// `kiln why`.

@@ -6,13 +6,14 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use kiln_engine::{ContentHash, Inconsistency, Verification};
+use kiln_engine::{ContentHash, Inconsistency, RemoteOptions, Verification};
 use kiln_pipeline::plan::{PlanError, folder_of};
 
 use super::args::BuildArgs;
 use super::watch::{self, Once};
 use super::{complain, data, diagnostics, progress};
 use crate::build::BuildError;
+use crate::config::Config;
 use crate::debug_images::StagePicture;
 use crate::exit::Exit;
 use crate::summary::{StageState, Summary, seconds};
@@ -31,15 +32,21 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
     if let Err(error) = handler {
         eprintln!("warning: Ctrl-C will end the build at once: {error}");
     }
+    let mode = args.remote_mode.map(Into::into);
+    let remote = match Config::load().and_then(|config| config.remote(args.remote.as_deref(), mode)) {
+        Ok(remote) => remote,
+        Err(error) => return complain(Exit::Usage, &error.to_string()),
+    };
+    let remote = remote.as_ref();
     if !args.watch {
-        return all(args, &cancel, false).exit;
+        return all(args, remote, &cancel, false).exit;
     }
     let mut again = false;
-    watch::run(&cancel, &mut || all(args, &cancel, std::mem::replace(&mut again, true)))
+    watch::run(&cancel, &mut || all(args, remote, &cancel, std::mem::replace(&mut again, true)))
 }
 
 /// Builds every pipeline once; `again`: what is fresh still needs no word.
-fn all(args: &BuildArgs, cancel: &Arc<AtomicBool>, again: bool) -> Once {
+fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool>, again: bool) -> Once {
     let mut worst = Exit::Done;
     let mut reports = Vec::new();
     let mut depfile = String::new();
@@ -50,6 +57,7 @@ fn all(args: &BuildArgs, cancel: &Arc<AtomicBool>, again: bool) -> Once {
         build.jobs = args.jobs;
         build.keep_going = args.keep_going;
         build.dry_run = args.dry_run;
+        build.remote = remote.cloned();
         build.debug_pictures = args.debug_images.is_some();
         build.brief = !args.json;
         build.dependencies = args.depfile.is_some() || args.watch;
@@ -159,7 +167,8 @@ pub(super) fn failed(error: &BuildError) -> Exit {
         diagnostics::show(list, sources);
         return if plan.is_usage() { Exit::Usage } else { Exit::Failed };
     }
-    complain(Exit::Failed, &error.to_string())
+    let exit = if matches!(error, BuildError::Remote(_)) { Exit::Usage } else { Exit::Failed };
+    complain(exit, &error.to_string())
 }
 
 fn show(summary: &Summary, dry_run: bool) {

@@ -2,6 +2,7 @@
 
 mod args;
 mod build;
+mod cache;
 mod compare;
 mod container;
 mod diagnostics;
@@ -19,7 +20,7 @@ use clap::Parser;
 use clap::error::ErrorKind;
 
 use crate::exit::Exit;
-use args::{BackendArg, Cli, Command, PlanArgs};
+use args::{BackendArg, Cli, Command, PlanArgs, RemoteModeArg};
 
 /// Runs the command line of this process.
 pub fn main() -> ExitCode {
@@ -44,6 +45,7 @@ pub fn main() -> ExitCode {
         Command::Export(args) => container::export(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        Command::Cache(args) => cache::run(&args),
         Command::Stage(args) => stage(args.kind.as_deref()),
         Command::CmakeModule => data(include_str!("kiln.cmake")),
     }
@@ -102,6 +104,15 @@ impl From<BackendArg> for crate::Backend {
             BackendArg::Auto => crate::Backend::Auto,
             BackendArg::Gpu => crate::Backend::Gpu,
             BackendArg::Cpu => crate::Backend::Cpu,
+        }
+    }
+}
+
+impl From<RemoteModeArg> for kiln_engine::RemoteMode {
+    fn from(arg: RemoteModeArg) -> kiln_engine::RemoteMode {
+        match arg {
+            RemoteModeArg::Read => kiln_engine::RemoteMode::Read,
+            RemoteModeArg::Write => kiln_engine::RemoteMode::Write,
         }
     }
 }

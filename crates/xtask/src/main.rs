@@ -60,3 +60,11 @@ fn root() -> PathBuf {
     let package = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
     package.ancestors().nth(2).map(PathBuf::from).unwrap_or(package)
 }
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_tree_is_tidy() {
+        crate::tidy::run(&crate::root()).unwrap();
+    }
+}

@@ -70,7 +70,9 @@ pub struct Engine {
     pub(crate) index_path: PathBuf,
     /// What the last build looked at; `None` inside: there is none.
     pub(crate) index: Option<Option<Index>>,
-    /// The file system's time before the caller read what makes its plan; set by a look that found work.
+    /// When this engine was opened, by the process' own watch.
+    opened: Instant,
+    /// The same in the file system's time: before the caller read what makes its plan. Set by a look that found work, or a build.
     pub(crate) opened_at: Option<i64>,
     /// Stats, young ones too, of the entries that make the plan and were looked at closer.
     pub(crate) looked: BTreeMap<String, Option<Stat>>,
@@ -99,6 +101,7 @@ impl Engine {
             state,
             index_path,
             index: None,
+            opened: Instant::now(),
             opened_at: None,
             looked: BTreeMap::new(),
             plan_lines: Vec::new(),
@@ -206,7 +209,9 @@ impl Engine {
     fn learn_time(&mut self) {
         // Without a time there is nothing to remember by: the next build looks closer again.
         if self.opened_at.is_none() && self.store.prepare().is_ok() {
-            self.opened_at = self.store.now().ok();
+            let now = self.store.now().ok();
+            let passed = i64::try_from(self.opened.elapsed().as_nanos()).unwrap_or(i64::MAX);
+            self.opened_at = now.map(|now| now.saturating_sub(passed));
         }
     }
 
@@ -234,6 +239,8 @@ impl Engine {
         self.check(plan)?;
         if !options.dry_run {
             self.store.prepare()?;
+            // What made the plan and is old enough is known from the first build on.
+            self.learn_time();
         }
         if self.partial.is_none() {
             self.state.load();
@@ -241,7 +248,7 @@ impl Engine {
         self.granularity = granularity(options);
         observer.event(&Event::Planned { actions: plan.actions.len(), targets: plan.targets.len() });
         let index = self.take_index();
-        let files = Files::new(&plan.root, &self.store, index.as_ref(), self.granularity, options.dry_run);
+        let files = Files::new(&plan.root, index.as_ref(), self.opened_at, self.granularity);
         let session = Session::new(plan, options, observer, &self.store, &self.state, files);
         let work = || session.run();
         let built = if options.dry_run { work() } else { self.store.during(&options.cancel, work) };
@@ -271,7 +278,7 @@ impl Engine {
         self.state.load();
         let options = BuildOptions { dry_run: true, ..BuildOptions::default() };
         let index = self.take_index();
-        let files = Files::new(&plan.root, &self.store, index.as_ref(), GRANULARITY, true);
+        let files = Files::new(&plan.root, index.as_ref(), None, GRANULARITY);
         let session = Session::new(plan, &options, &crate::report::NoObserver, &self.store, &self.state, files);
         let why = session.why(target);
         self.index = Some(index);

@@ -142,10 +142,10 @@ impl Engine {
                     add(path.clone(), false);
                 }
             }
-            if let (Some(folder), Some(record)) = (&plan.actions[action].discovers, &report.actions[action].record) {
-                for (path, _) in &record.discovered {
-                    add(join(folder, path), false);
-                }
+            let Some(folder) = &plan.actions[action].discovers else { continue };
+            let found = report.actions[action].record.iter().flat_map(|record| &record.discovered);
+            for path in found.map(|(path, _)| path).chain(&report.actions[action].sought) {
+                add(join(folder, path), false);
             }
         }
         for &target in &group.targets {

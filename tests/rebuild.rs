@@ -332,7 +332,9 @@ fn a_changed_parent_pipeline_reaches_what_it_changes() {
 fn an_override_reaches_the_models_that_it_matches_and_no_other() {
     let space = many();
     let over = |keep: &str| {
-        let text = format!("{MANY}[[override]]\nmatch = \"b.gltf\"\nset = {{ \"stage.lods.levels\" = [{{ keep = {keep} }}] }}\n");
+        let text = format!(
+            "{MANY}[[override]]\nmatch = \"b.gltf\"\nset = {{ \"stage.lods.levels\" = [{{ keep = {keep} }}] }}\n"
+        );
         space.write("pipeline.toml", text);
         let report = space.build();
         assert_ran(&report, &["lods", "pack"]);

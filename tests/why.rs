@@ -124,6 +124,9 @@ fn explain_says_of_each_stage_what_differs_first() {
     ];
     assert_eq!(runs.len(), expected.len(), "{said}");
     for (run, (stage, reason)) in runs.iter().zip(expected) {
-        assert!(run.0 == stage && run.1.starts_with(reason) && run.1.contains(" -> "), "{run:?}, not {stage}: {reason}");
+        assert!(
+            run.0 == stage && run.1.starts_with(reason) && run.1.contains(" -> "),
+            "{run:?}, not {stage}: {reason}"
+        );
     }
 }

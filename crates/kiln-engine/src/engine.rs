@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use crate::build::{Built, Session};
-use crate::disk::Stat;
+use crate::disk::{self, Stat};
 use crate::error::EngineError;
 use crate::files::{Files, GRANULARITY, Seen};
 use crate::hash::ContentHash;
@@ -301,6 +301,7 @@ impl Engine {
             self.state.set_last(&plan.actions[action].id, last);
         }
         self.seen = seen;
+        let _writing = disk::writing();
         let live = plan.actions.iter().map(|action| action.id.as_str()).collect();
         let mut kept = self.state.save(&self.store, &live, self.partial.is_none());
         if self.partial.is_none() {

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 
 use crate::context::join;
+use crate::disk;
 use crate::engine::Engine;
 use crate::error::IoError;
 use crate::index::{Asset, Content, Index, Line};
@@ -49,6 +50,7 @@ impl Engine {
         if report.cancelled || report.actions.len() != plan.actions.len() {
             return Ok(());
         }
+        let _writing = disk::writing();
         for group in &memory.groups {
             self.state.set_note(&group.name, &group.note);
         }

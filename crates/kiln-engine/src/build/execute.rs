@@ -8,6 +8,7 @@ use std::time::Instant;
 
 use super::{Session, lock};
 use crate::context::Context;
+use crate::disk;
 use crate::error::ActionError;
 use crate::hash::{ContentHash, Fingerprint};
 use crate::manifest::Manifest;
@@ -101,6 +102,7 @@ impl Session<'_> {
                 lock(&self.slots[action]).sought = discovered.iter().map(|(path, _)| path.clone()).collect();
             })?;
         let manifest = manifest.with_discovered(&discovered);
+        let _writing = disk::writing();
         let record = Record {
             fingerprint: manifest.fingerprint(),
             kind: self.plan.actions[action].kind.to_owned(),

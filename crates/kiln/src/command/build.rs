@@ -5,6 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use kiln_engine::{ContentHash, Inconsistency, RemoteOptions, Verification};
 use kiln_pipeline::plan::{PlanError, folder_of};
@@ -18,6 +19,9 @@ use crate::debug_images::StagePicture;
 use crate::exit::Exit;
 use crate::summary::{StageState, Summary, seconds};
 
+/// How long a cancelled build may take to end by itself, and how long to finish a file.
+const PATIENCE: Duration = Duration::from_millis(700);
+
 /// Builds every pipeline in turn; the gravest exit code wins.
 pub(super) fn run(args: &BuildArgs) -> Exit {
     let cancel = Arc::new(AtomicBool::new(false));
@@ -28,6 +32,7 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
             std::process::exit(130);
         }
         eprintln!("cancelling; what runs is asked to end");
+        std::thread::spawn(end_soon);
     });
     if let Err(error) = handler {
         eprintln!("warning: Ctrl-C will end the build at once: {error}");
@@ -43,6 +48,15 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
     }
     let mut again = false;
     watch::run(&cancel, &mut || all(args, remote, &cancel, std::mem::replace(&mut again, true)))
+}
+
+/// Ends the process if the build does not end by itself: some stages take minutes and do not look up. Nothing of them is kept; files
+/// that are just being written are finished first.
+fn end_soon() {
+    std::thread::sleep(PATIENCE);
+    kiln_engine::quiesce(PATIENCE);
+    eprintln!("cancelled; what still ran was left");
+    std::process::exit(Exit::Failed.code().into());
 }
 
 /// Builds every pipeline once; `again`: what is fresh still needs no word.

@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use kiln_engine::Dependencies;
 use notify::{Event, EventKind, RecursiveMode, Watcher};
@@ -20,8 +20,8 @@ use crate::exit::Exit;
 
 /// An editor saves a file in several steps, and an export writes several files: so long must it be quiet.
 const QUIET: Duration = Duration::from_millis(200);
-/// Where it is never quiet, so many times `QUIET` and no longer.
-const MOST_QUIETS: usize = 20;
+/// Where it is never quiet, this long and no longer.
+const MOST: Duration = Duration::from_secs(4);
 
 /// What one build leaves for the watch.
 pub(super) struct Once {
@@ -76,16 +76,13 @@ fn wait(events: &Receiver<notify::Result<Event>>, cancel: &AtomicBool) -> bool {
             Err(RecvTimeoutError::Disconnected) => return false,
         }
     }
-    for _ in 0..MOST_QUIETS {
-        let mut quiet = true;
-        while let Ok(event) = events.recv_timeout(QUIET) {
-            if concerns(&event) {
-                quiet = false;
-                break;
-            }
-        }
-        if quiet {
-            break;
+    let first = Instant::now();
+    let mut last = first;
+    while first.elapsed() < MOST {
+        match events.recv_timeout(QUIET.saturating_sub(last.elapsed())) {
+            Ok(event) if concerns(&event) => last = Instant::now(),
+            Ok(_) => {}
+            Err(_) => break,
         }
     }
     true

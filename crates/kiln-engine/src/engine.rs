@@ -72,7 +72,7 @@ pub struct Engine {
     pub(crate) index: Option<Option<Index>>,
     /// When this engine was opened, by the process' own watch.
     opened: Instant,
-    /// The same in the file system's time: before the caller read what makes its plan. Set by a look that found work, or a build.
+    /// The file system's time before the caller read what makes its plan; set by a look that found work, or by a build.
     pub(crate) opened_at: Option<i64>,
     /// Stats, young ones too, of the entries that make the plan and were looked at closer.
     pub(crate) looked: BTreeMap<String, Option<Stat>>,
@@ -209,9 +209,7 @@ impl Engine {
     fn learn_time(&mut self) {
         // Without a time there is nothing to remember by: the next build looks closer again.
         if self.opened_at.is_none() && self.store.prepare().is_ok() {
-            let now = self.store.now().ok();
-            let passed = i64::try_from(self.opened.elapsed().as_nanos()).unwrap_or(i64::MAX);
-            self.opened_at = now.map(|now| now.saturating_sub(passed));
+            self.opened_at = self.store.now().ok();
         }
     }
 
@@ -237,10 +235,16 @@ impl Engine {
     ) -> Result<BuildReport, EngineError> {
         let start = Instant::now();
         self.check(plan)?;
+        let mut now = self.opened_at;
         if !options.dry_run {
             self.store.prepare()?;
-            // What made the plan and is old enough is known from the first build on.
-            self.learn_time();
+            if now.is_none() {
+                // Nobody looked: the plan was made since this engine was opened, and no file was read for an action yet.
+                self.learn_time();
+                now = self.opened_at;
+                let passed = i64::try_from(self.opened.elapsed().as_nanos()).unwrap_or(i64::MAX);
+                self.opened_at = now.map(|now| now.saturating_sub(passed));
+            }
         }
         if self.partial.is_none() {
             self.state.load();
@@ -248,7 +252,7 @@ impl Engine {
         self.granularity = granularity(options);
         observer.event(&Event::Planned { actions: plan.actions.len(), targets: plan.targets.len() });
         let index = self.take_index();
-        let files = Files::new(&plan.root, index.as_ref(), self.opened_at, self.granularity);
+        let files = Files::new(&plan.root, index.as_ref(), now, self.granularity);
         let session = Session::new(plan, options, observer, &self.store, &self.state, files);
         let work = || session.run();
         let built = if options.dry_run { work() } else { self.store.during(&options.cancel, work) };

@@ -96,8 +96,12 @@ fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool
                     show(&outcome.summary, args.dry_run);
                 }
                 if let Some(dependencies) = &outcome.dependencies {
-                    depfile.push_str(&crate::depfile(dependencies, &folder_of(pipeline)));
-                    watch::folders(dependencies, &folder_of(pipeline), &mut folders);
+                    if args.depfile.is_some() {
+                        depfile.push_str(&crate::depfile(dependencies, &folder_of(pipeline)));
+                    }
+                    if args.watch {
+                        folders.extend(watch::folders(dependencies, &folder_of(pipeline)));
+                    }
                 } else {
                     all_known = false;
                 }

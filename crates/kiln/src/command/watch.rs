@@ -104,16 +104,12 @@ fn concerns(event: &notify::Result<Event>) -> bool {
 }
 
 /// The folders of everything that a build looked at; of one that is absent, the nearest that is there.
-pub(super) fn folders(dependencies: &Dependencies, root: &Path, folders: &mut BTreeSet<PathBuf>) {
-    let mut add = |path: PathBuf| {
-        folders.extend(path.ancestors().find(|folder| folder.is_dir()).map(Path::to_path_buf));
-    };
-    let above = |path: &String| root.join(path).parent().map(Path::to_path_buf).unwrap_or_default();
-    for folder in &dependencies.folders {
-        add(root.join(folder));
-    }
+pub(super) fn folders(dependencies: &Dependencies, root: &Path) -> BTreeSet<PathBuf> {
     let assets = dependencies.assets.iter().flat_map(|a| a.inputs.iter().chain(&a.outputs).chain(&a.absent));
-    for file in dependencies.files.iter().chain(assets) {
-        add(above(file));
-    }
+    let above =
+        dependencies.files.iter().chain(assets).map(|path| path.rsplit_once('/').map_or("", |(folder, _)| folder));
+    // Few folders, many files: each folder is asked for once.
+    let wanted: BTreeSet<&str> = dependencies.folders.iter().map(String::as_str).chain(above).collect();
+    let nearest = |folder: &str| root.join(folder).ancestors().find(|folder| folder.is_dir()).map(Path::to_path_buf);
+    wanted.into_iter().filter_map(nearest).collect()
 }

@@ -133,6 +133,11 @@ fn a_watching_build_builds_what_changes_shows_errors_and_keeps_the_last_good_out
     let pipeline = String::from_utf8(space.read("pipeline.toml")).unwrap();
     space.write("pipeline.toml", pipeline.replace("levels", "lewels"));
     watching.says("levels");
+    // What nothing looks at starts nothing, such as a log beside the pipeline, nor is an error said again.
+    space.write("build.log", "error");
+    space.write("pipeline.toml", &pipeline);
+    let lines = watching.says("nothing to do");
+    assert!(!lines.iter().any(|line| line.contains("lewels")), "{lines:#?}");
     space.write("pipeline.toml", pipeline.replace("keep = 0.5", "keep = 0.4"));
     // All three have one geometry: it is simplified once.
     watching.says("4 of 15 stages ran");

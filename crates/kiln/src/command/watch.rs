@@ -117,7 +117,8 @@ impl Watched {
             }
         }
         for folder in &dependencies.folders {
-            self.listed.extend(self.add_folder(&root.join(folder)));
+            let there = self.add_folder(&root.join(folder));
+            self.listed.extend(there);
         }
     }
 

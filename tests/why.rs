@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use crate::inputs::png;
 use crate::rebuild::cache_files;
 use crate::space::{SMALL, Space, repository, small};
 
@@ -40,15 +41,8 @@ fn why_names_the_changed_image_file() {
     space.build();
     space.write("paint.png", png([10, 200, 10]));
     let text = why(&space);
-    assert!(text.contains("paint.png changed"), "{text}");
-}
-
-/// A small picture of one colour.
-fn png(rgb: [u8; 3]) -> Vec<u8> {
-    let picture = image::RgbImage::from_pixel(4, 4, image::Rgb(rgb));
-    let mut bytes = std::io::Cursor::new(Vec::new());
-    picture.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
-    bytes.into_inner()
+    let [old, new] = [[200, 10, 10], [10, 200, 10]].map(|rgb| kiln_engine::ContentHash::of(&png(rgb)).short());
+    assert!(text.contains(&format!("paint.png changed: {old} -> {new}")), "{text}");
 }
 
 #[test]
@@ -103,4 +97,36 @@ fn why_of_an_unknown_output_says_what_to_do() {
     space.write("model.glb", fs::read(repository("fixtures/cube.glb")).unwrap());
     let said = space.run(["why", "out/nothing.kiln"]).expect(2).stderr;
     assert!(said.contains("--pipeline"), "{said}");
+}
+
+#[test]
+fn why_of_an_output_of_a_broken_pipeline_shows_what_is_broken() {
+    let space = small("cube.glb");
+    space.build();
+    space.write("pipeline.toml", SMALL.replace("padding", "pading"));
+    let said = space.run(["why", "out/model.kiln"]).expect(2).stderr;
+    assert!(said.contains("pading") && said.contains("what is broken above"), "{said}");
+}
+
+#[test]
+fn explain_says_of_each_stage_what_differs_first() {
+    let space = small("cube.glb");
+    space.build();
+    space.write("pipeline.toml", SMALL.replace("padding = 4", "padding = 6"));
+    let said = space.run(["build", "pipeline.toml", "--backend", "cpu", "--explain"]).expect(0).stderr;
+    let runs: Vec<_> = said.lines().filter_map(|line| line.split_once(": runs, ")).collect();
+    let expected = [
+        ("model.glb / atlas", "padding: 4 -> 6"),
+        ("model.glb / lods, collapse", "input `in` from atlas changed: "),
+        ("model.glb / lods", "input `in` from atlas changed: "),
+        ("model.glb / bake", "input `low` from lods changed: "),
+        ("model.glb / pack", "pipeline: "),
+    ];
+    assert_eq!(runs.len(), expected.len(), "{said}");
+    for (run, (stage, reason)) in runs.iter().zip(expected) {
+        assert!(
+            run.0 == stage && run.1.starts_with(reason) && run.1.contains(" -> "),
+            "{run:?}, not {stage}: {reason}"
+        );
+    }
 }

@@ -3,11 +3,38 @@
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::sync::{PoisonError, RwLock, RwLockReadGuard};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
 use crate::error::IoError;
+
+/// Held for reading by whoever makes a file that a later step completes.
+static WRITING: RwLock<()> = RwLock::new(());
+
+/// Say so before a file is made that a later step completes: [`quiesce`] waits until the value is dropped. Not to be nested.
+pub(crate) fn writing() -> RwLockReadGuard<'static, ()> {
+    // There is nothing under the lock that a panic could leave half.
+    WRITING.read().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Waits, for `patience` at most, until no build of this process is in the middle of a file, and lets none begin another: for a
+/// process that ends while stages run that do not ask whether they are cancelled. Gives whether it came about.
+pub fn quiesce(patience: Duration) -> bool {
+    let start = Instant::now();
+    loop {
+        if let Ok(guard) = WRITING.try_write() {
+            // Held until the process ends.
+            std::mem::forget(guard);
+            return true;
+        }
+        if start.elapsed() > patience {
+            return false;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
 
 /// What a file's stat says: equal stats stand for equal bytes, under the conditions of [`files`](crate::files).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use crate::build::{Built, Session};
-use crate::disk::Stat;
+use crate::disk::{self, Stat};
 use crate::error::EngineError;
 use crate::files::{Files, GRANULARITY, Seen};
 use crate::hash::ContentHash;
@@ -70,7 +70,9 @@ pub struct Engine {
     pub(crate) index_path: PathBuf,
     /// What the last build looked at; `None` inside: there is none.
     pub(crate) index: Option<Option<Index>>,
-    /// The file system's time before the caller read what makes its plan; set by a look that found work.
+    /// When this engine was opened, by the process' own watch.
+    opened: Instant,
+    /// The file system's time before the caller read what makes its plan; set by a look that found work, or by a build.
     pub(crate) opened_at: Option<i64>,
     /// Stats, young ones too, of the entries that make the plan and were looked at closer.
     pub(crate) looked: BTreeMap<String, Option<Stat>>,
@@ -99,6 +101,7 @@ impl Engine {
             state,
             index_path,
             index: None,
+            opened: Instant::now(),
             opened_at: None,
             looked: BTreeMap::new(),
             plan_lines: Vec::new(),
@@ -232,8 +235,16 @@ impl Engine {
     ) -> Result<BuildReport, EngineError> {
         let start = Instant::now();
         self.check(plan)?;
+        let mut now = self.opened_at;
         if !options.dry_run {
             self.store.prepare()?;
+            if now.is_none() {
+                // Nobody looked: the plan was made since this engine was opened, and no file was read for an action yet.
+                self.learn_time();
+                now = self.opened_at;
+                let passed = i64::try_from(self.opened.elapsed().as_nanos()).unwrap_or(i64::MAX);
+                self.opened_at = now.map(|now| now.saturating_sub(passed));
+            }
         }
         if self.partial.is_none() {
             self.state.load();
@@ -241,7 +252,7 @@ impl Engine {
         self.granularity = granularity(options);
         observer.event(&Event::Planned { actions: plan.actions.len(), targets: plan.targets.len() });
         let index = self.take_index();
-        let files = Files::new(&plan.root, &self.store, index.as_ref(), self.granularity, options.dry_run);
+        let files = Files::new(&plan.root, index.as_ref(), now, self.granularity);
         let session = Session::new(plan, options, observer, &self.store, &self.state, files);
         let work = || session.run();
         let built = if options.dry_run { work() } else { self.store.during(&options.cancel, work) };
@@ -271,7 +282,7 @@ impl Engine {
         self.state.load();
         let options = BuildOptions { dry_run: true, ..BuildOptions::default() };
         let index = self.take_index();
-        let files = Files::new(&plan.root, &self.store, index.as_ref(), GRANULARITY, true);
+        let files = Files::new(&plan.root, index.as_ref(), None, GRANULARITY);
         let session = Session::new(plan, &options, &crate::report::NoObserver, &self.store, &self.state, files);
         let why = session.why(target);
         self.index = Some(index);
@@ -294,6 +305,7 @@ impl Engine {
             self.state.set_last(&plan.actions[action].id, last);
         }
         self.seen = seen;
+        let _writing = disk::writing();
         let live = plan.actions.iter().map(|action| action.id.as_str()).collect();
         let mut kept = self.state.save(&self.store, &live, self.partial.is_none());
         if self.partial.is_none() {

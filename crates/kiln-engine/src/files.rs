@@ -5,7 +5,7 @@
 //! - both its times are older than the clock's granularity, so that no later write can leave the stat as it is.
 //!
 //! The granularity is taken as 2 s: FAT stamps files in steps of 2 s, HFS+ and ext3 of 1 s, others finer. "Now" is the file
-//! system's own ([`Store::now`]), taken before the first file of a build is read. A file written just before a build is thus
+//! system's own ([`Store::now`](crate::store::Store::now)), of a moment before the first file of a build is read. A file written just before a build is thus
 //! read again by the next build: that costs time, never truth.
 
 use std::collections::HashMap;
@@ -13,13 +13,12 @@ use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::disk::{Stat, is_absent};
 use crate::error::IoError;
 use crate::hash::ContentHash;
 use crate::index::{self, Index, Line};
-use crate::store::Store;
 
 /// Default granularity of file times, nanoseconds; see above.
 pub(crate) const GRANULARITY: i64 = 2_000_000_000;
@@ -48,25 +47,18 @@ pub(crate) type Content = Option<(Arc<[u8]>, ContentHash)>;
 /// The files of one build; each is looked at once, so that one build sees one content.
 pub(crate) struct Files<'a> {
     root: &'a Path,
-    store: &'a Store,
     memo: Option<&'a Index>,
-    granularity: i64,
-    now: OnceLock<i64>,
+    /// Stats with times before this may be kept, nanoseconds since 1970 in the file system's time.
+    settled_before: i64,
     seen: Mutex<HashMap<String, Seen>>,
     hashed: AtomicUsize,
 }
 
 impl<'a> Files<'a> {
-    /// `look_only`: nothing is to be written, so no time can be had and no stat will be kept.
-    pub(crate) fn new(
-        root: &'a Path,
-        store: &'a Store,
-        memo: Option<&'a Index>,
-        granularity: i64,
-        look_only: bool,
-    ) -> Files<'a> {
-        let now = if look_only { OnceLock::from(i64::MIN) } else { OnceLock::new() };
-        Files { root, store, memo, granularity, now, seen: Mutex::default(), hashed: AtomicUsize::new(0) }
+    /// `now`: the file system's time before any file was read; where it is not known no stat is kept.
+    pub(crate) fn new(root: &'a Path, memo: Option<&'a Index>, now: Option<i64>, granularity: i64) -> Files<'a> {
+        let settled_before = now.map_or(i64::MIN, |now| now.saturating_sub(granularity));
+        Files { root, memo, settled_before, seen: Mutex::default(), hashed: AtomicUsize::new(0) }
     }
 
     /// Number of files that were read to be hashed.
@@ -94,14 +86,8 @@ impl<'a> Files<'a> {
         self.root.join(path)
     }
 
-    /// The file system's time before any file was read.
-    fn now(&self) -> i64 {
-        // Where no file can be made (a read-only cache) nothing is old enough, and all is read.
-        *self.now.get_or_init(|| self.store.now().unwrap_or(i64::MIN))
-    }
-
     fn settled(&self, before: Stat, after: Stat) -> Option<Stat> {
-        (before == after && after.latest() < self.now().saturating_sub(self.granularity)).then_some(after)
+        (before == after && after.latest() < self.settled_before).then_some(after)
     }
 
     /// The content of the file at `path` (relative to the root), `None` if there is no such file.
@@ -126,7 +112,6 @@ impl<'a> Files<'a> {
     }
 
     fn read_and_hash(&self, full: &Path) -> Result<Seen, IoError> {
-        self.now();
         let fail = |error| IoError::new("read", full)(error);
         let mut file = match File::open(full) {
             Err(error) if is_absent(&error) => return Ok(Seen { hash: None, stat: None }),
@@ -143,7 +128,6 @@ impl<'a> Files<'a> {
 
     /// The bytes of the file at `path`, hashed as they are, `None` if there is no such file.
     pub(crate) fn read(&self, path: &str) -> Result<Content, IoError> {
-        self.now();
         let full = self.full(path);
         let read = || -> io::Result<(Vec<u8>, Stat, Stat)> {
             let mut file = File::open(&full)?;

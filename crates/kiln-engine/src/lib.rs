@@ -75,6 +75,7 @@ mod tests;
 mod verify;
 
 pub use context::Context;
+pub use disk::quiesce;
 pub use engine::{BuildOptions, Durability, Engine};
 pub use error::{ActionError, EngineError, IoError};
 pub use hash::{ContentHash, Fingerprint, NotADigest};

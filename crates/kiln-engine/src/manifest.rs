@@ -300,11 +300,10 @@ fn explain(key: Key<'_>, old: Option<Entry<'_>>, new: Option<Entry<'_>>) -> Stal
                 Topic::Foreign => StaleReason::ForeignVersionChanged { old, new },
                 Topic::NumericClass => StaleReason::NumericClassChanged { old, new },
                 Topic::DeviceClass => StaleReason::DeviceClassChanged { old, new },
-                Topic::Kind => {
-                    let name = if name.is_empty() { "kind" } else { name };
-                    StaleReason::ParameterChanged { name: name.into(), old, new }
+                Topic::Kind if name.is_empty() => {
+                    StaleReason::StageKindChanged { old: old.unwrap_or_default(), new: new.unwrap_or_default() }
                 }
-                Topic::Parameter => StaleReason::ParameterChanged { name: name.to_owned(), old, new },
+                Topic::Kind | Topic::Parameter => StaleReason::ParameterChanged { name: name.to_owned(), old, new },
             }
         }
         Key::Declared(_) | Key::Discovered(_) => {
@@ -329,7 +328,9 @@ fn explain_input(key: Key<'_>, old: InputSide, new: InputSide) -> StaleReason {
             (Some(_), None) => StaleReason::InputFileMissing { path },
             _ => StaleReason::InputFileAdded { path },
         },
-        Some(Origin::Upstream { action, .. }) => StaleReason::UpstreamOutputChanged { input: name.to_owned(), action },
+        Some(Origin::Upstream { action, .. }) => {
+            StaleReason::UpstreamOutputChanged { input: name.to_owned(), action, old: before, new: now }
+        }
         _ => {
             let shown = |hash: Option<ContentHash>| hash.map(|hash| hash.short());
             StaleReason::ParameterChanged { name: name.to_owned(), old: shown(before), new: shown(now) }

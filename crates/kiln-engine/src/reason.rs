@@ -15,6 +15,13 @@ use crate::hash::ContentHash;
 pub enum StaleReason {
     /// The cache knows nothing about it: its first build here.
     NoRecord,
+    /// What bears this id was another kind of stage.
+    StageKindChanged {
+        /// Kind in the last build.
+        old: String,
+        /// Kind now.
+        new: String,
+    },
     /// The stage's own semantic version was raised (or lowered).
     StageVersionChanged {
         /// Version of the last build.
@@ -71,12 +78,16 @@ pub enum StaleReason {
         /// The file.
         path: String,
     },
-    /// An action before it gave other bytes.
+    /// An action before it gave other bytes, or the input came or went.
     UpstreamOutputChanged {
         /// The input's name.
         input: String,
-        /// The id of the action that gave it.
+        /// The id of the action that gives it, or gave it.
         action: String,
+        /// Content in the last build; absent if there was no such input.
+        old: Option<ContentHash>,
+        /// Content now; absent if there is no such input.
+        new: Option<ContentHash>,
     },
     /// The cache entry vanished or was found damaged and moved aside.
     BlobLost {
@@ -98,8 +109,10 @@ pub enum StaleReason {
 impl fmt::Display for StaleReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let shown = |value: &Option<String>| value.clone().unwrap_or_else(|| "(none)".into());
+        let short = |hash: &Option<ContentHash>| hash.map_or_else(|| "(none)".into(), |hash| hash.short());
         match self {
             StaleReason::NoRecord => write!(f, "first build"),
+            StaleReason::StageKindChanged { old, new } => write!(f, "kind of stage {old} -> {new}"),
             StaleReason::StageVersionChanged { old, new } => write!(f, "stage version {old} -> {new}"),
             StaleReason::ForeignVersionChanged { old, new } => {
                 write!(f, "library {} -> {}", shown(old), shown(new))
@@ -111,11 +124,15 @@ impl fmt::Display for StaleReason {
             StaleReason::ParameterChanged { name, old, new } => {
                 write!(f, "{name}: {} -> {}", shown(old), shown(new))
             }
-            StaleReason::InputFileChanged { path, .. } => write!(f, "{path} changed"),
+            StaleReason::InputFileChanged { path, old, new } => {
+                write!(f, "{path} changed: {} -> {}", old.short(), new.short())
+            }
             StaleReason::InputFileMissing { path } => write!(f, "{path} is gone"),
             StaleReason::InputFileAdded { path } => write!(f, "{path} is new"),
-            StaleReason::UpstreamOutputChanged { input, action } => {
-                write!(f, "input `{input}` from {action} changed")
+            StaleReason::UpstreamOutputChanged { input, action, old, new } => {
+                // Ids are long, and most name the asset that this is said of: the stage will do.
+                let stage = action.rsplit_once('#').map_or(action.as_str(), |(_, stage)| stage);
+                write!(f, "input `{input}` from {stage} changed: {} -> {}", short(old), short(new))
             }
             StaleReason::BlobLost { what } => write!(f, "cache entry lost: {what}"),
             StaleReason::OutputMissing { path } => write!(f, "{path} is missing"),

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 
 use crate::context::join;
+use crate::disk;
 use crate::engine::Engine;
 use crate::error::IoError;
 use crate::index::{Asset, Content, Index, Line};
@@ -49,6 +50,7 @@ impl Engine {
         if report.cancelled || report.actions.len() != plan.actions.len() {
             return Ok(());
         }
+        let _writing = disk::writing();
         for group in &memory.groups {
             self.state.set_note(&group.name, &group.note);
         }
@@ -142,10 +144,10 @@ impl Engine {
                     add(path.clone(), false);
                 }
             }
-            if let (Some(folder), Some(record)) = (&plan.actions[action].discovers, &report.actions[action].record) {
-                for (path, _) in &record.discovered {
-                    add(join(folder, path), false);
-                }
+            let Some(folder) = &plan.actions[action].discovers else { continue };
+            let found = report.actions[action].record.iter().flat_map(|record| &record.discovered);
+            for path in found.map(|(path, _)| path).chain(&report.actions[action].sought) {
+                add(join(folder, path), false);
             }
         }
         for &target in &group.targets {

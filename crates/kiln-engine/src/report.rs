@@ -87,6 +87,8 @@ pub struct ActionReport {
     pub state: ActionState,
     /// What it gave, now or when it ran; `None` if that is not known.
     pub record: Option<Arc<Record>>,
+    /// Files that it asked for and failed all the same, relative to its folder, sorted: one of them may mend it.
+    pub sought: Vec<String>,
     /// Warnings that it gave in this build.
     pub warnings: Vec<String>,
 }

@@ -377,6 +377,11 @@ fn as_fresh(asset: &AssetSummary) -> AssetSummary {
     asset
 }
 
+/// The stage that an action of the plan belongs to.
+fn stage_of(asset: &PlannedAsset, action: usize) -> &str {
+    asset.actions.iter().find(|(index, _)| *index == action).map_or("another asset's stage", |(_, name)| name)
+}
+
 /// What a build came to for `asset`.
 fn part(asset: &PlannedAsset, report: &BuildReport, peaks: &[Option<u64>]) -> Part {
     let (mut brief, mut passing, mut errors) = (Brief::default(), Vec::new(), Vec::new());
@@ -388,7 +393,7 @@ fn part(asset: &PlannedAsset, report: &BuildReport, peaks: &[Option<u64>]) -> Pa
             ActionState::Fresh => (StageState::Fresh, None),
             ActionState::Ran { reason, .. } => (StageState::Ran, Some(reason.to_string())),
             ActionState::WouldRun { reason } => (StageState::WouldRun, Some(reason.to_string())),
-            ActionState::DependsOn { on } => (StageState::Depends, Some(report.actions[*on].id.clone())),
+            ActionState::DependsOn { on } => (StageState::Depends, Some(stage_of(asset, *on).to_owned())),
             ActionState::Failed(error) => {
                 errors.extend(defects(error).into_iter().map(|d| format!("{place}: {d}")));
                 (StageState::Failed, Some(error.to_string()))
@@ -510,8 +515,8 @@ pub fn why(build: &Build, output: &Path) -> Result<Option<WhyOutcome>, BuildErro
             WhyStage { stage, verdict: "stale", text: Some(reason.to_string()), reason: Some(reason.clone()) }
         }
         Verdict::DependsOn { on } => {
-            let name = asset.actions.iter().find(|(index, _)| index == on).map_or("another stage", |(_, name)| name);
-            WhyStage { stage, verdict: "depends", text: Some(format!("depends on {name}")), reason: None }
+            let text = format!("depends on {}", stage_of(asset, *on));
+            WhyStage { stage, verdict: "depends", text: Some(text), reason: None }
         }
         Verdict::Fails { message } => {
             WhyStage { stage, verdict: "fails", text: Some(format!("would fail: {message}")), reason: None }
@@ -519,8 +524,7 @@ pub fn why(build: &Build, output: &Path) -> Result<Option<WhyOutcome>, BuildErro
     };
     let mut stages: Vec<WhyStage> = Vec::new();
     for (index, what) in &answer.actions {
-        let name = asset.actions.iter().find(|(i, _)| i == index).map_or_else(String::new, |(_, name)| name.clone());
-        stages.push(verdict(name, what));
+        stages.push(verdict(stage_of(asset, *index).to_owned(), what));
     }
     stages.push(verdict("output".into(), &answer.target));
     let fresh = stages.iter().all(|s| s.verdict == "fresh");

@@ -9,28 +9,40 @@
 //! there, since build systems take an absent file for stale: its folder stands for it.
 
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use kiln_engine::Dependencies;
 
-/// A path below `root` as a build system knows it: without `.`, and without `..` where a name stands before it.
-fn place(root: &Path, path: &str) -> String {
-    let full = root.join(path);
-    // `--set asset.output=PATH` names places from the current folder: so does a build system.
-    let current = std::env::current_dir().ok().filter(|_| root.is_relative());
-    let full = current.and_then(|current| full.strip_prefix(current).ok()).unwrap_or(&full).to_string_lossy();
-    let mut parts: Vec<&str> = Vec::new();
-    for part in full.split('/') {
-        match part {
-            "." => {}
-            "" if !parts.is_empty() => {}
-            ".." if parts.last().is_some_and(|last| !last.is_empty() && *last != "..") => {
-                parts.pop();
-            }
-            part => parts.push(part),
-        }
+/// Names paths as a build system knows them.
+struct Names<'a> {
+    root: &'a Path,
+    /// `--set asset.output=PATH` names places from the current folder: so does a build system, where the root is relative.
+    current: Option<PathBuf>,
+}
+
+impl Names<'_> {
+    fn of(root: &Path) -> Names<'_> {
+        Names { root, current: std::env::current_dir().ok().filter(|_| root.is_relative()) }
     }
-    if parts.is_empty() { ".".into() } else { parts.join("/") }
+
+    /// A path below the root: without `.`, and without `..` where a name stands before it.
+    fn name(&self, path: &str) -> String {
+        let full = self.root.join(path);
+        let current = self.current.as_ref().filter(|_| full.is_absolute());
+        let full = current.and_then(|current| full.strip_prefix(current).ok()).unwrap_or(&full).to_string_lossy();
+        let mut parts: Vec<&str> = Vec::new();
+        for part in full.split('/') {
+            match part {
+                "." => {}
+                "" if !parts.is_empty() => {}
+                ".." if parts.last().is_some_and(|last| !last.is_empty() && *last != "..") => {
+                    parts.pop();
+                }
+                part => parts.push(part),
+            }
+        }
+        if parts.is_empty() { ".".into() } else { parts.join("/") }
+    }
 }
 
 /// The folder of a path below the root.
@@ -39,10 +51,10 @@ fn folder_of(path: &str) -> &str {
 }
 
 /// What all outputs depend on.
-fn common(dependencies: &Dependencies, root: &Path) -> BTreeSet<String> {
+fn common(dependencies: &Dependencies, names: &Names<'_>) -> BTreeSet<String> {
     let absent = dependencies.assets.iter().flat_map(|asset| &asset.absent).map(|path| folder_of(path));
     let own = dependencies.files.iter().chain(&dependencies.folders).map(String::as_str);
-    own.chain(absent).map(|path| place(root, path)).collect()
+    own.chain(absent).map(|path| names.name(path)).collect()
 }
 
 /// A depfile as GCC writes it with `-MP`, for Ninja (`deps = gcc`), Make and CMake.
@@ -50,13 +62,14 @@ fn common(dependencies: &Dependencies, root: &Path) -> BTreeSet<String> {
 /// `root`: the folder that the dependencies are relative to, the pipeline's. A path with a line break cannot be written and is
 /// left out.
 pub fn depfile(dependencies: &Dependencies, root: &Path) -> String {
+    let names = Names::of(root);
     let mut text = String::new();
-    let mut inputs = common(dependencies, root);
-    let outputs = dependencies.assets.iter().flat_map(|asset| &asset.outputs).map(|path| place(root, path));
+    let mut inputs = common(dependencies, &names);
+    let outputs = dependencies.assets.iter().flat_map(|asset| &asset.outputs).map(|path| names.name(path));
     rule(&mut text, outputs, inputs.iter().cloned());
     for asset in &dependencies.assets {
-        let own: Vec<String> = asset.inputs.iter().map(|path| place(root, path)).collect();
-        rule(&mut text, asset.outputs.iter().map(|path| place(root, path)), own.iter().cloned());
+        let own: Vec<String> = asset.inputs.iter().map(|path| names.name(path)).collect();
+        rule(&mut text, asset.outputs.iter().map(|path| names.name(path)), own.iter().cloned());
         inputs.extend(own);
     }
     for input in inputs {
@@ -104,8 +117,9 @@ fn escaped(path: &str) -> String {
 ///
 /// Folders among them are looked at by Cargo with all that lies in them: outputs belong elsewhere, such as into `OUT_DIR`.
 pub fn cargo_lines(dependencies: &Dependencies, root: &Path) -> Vec<String> {
-    let mut paths = common(dependencies, root);
-    paths.extend(dependencies.assets.iter().flat_map(|asset| &asset.inputs).map(|path| place(root, path)));
+    let names = Names::of(root);
+    let mut paths = common(dependencies, &names);
+    paths.extend(dependencies.assets.iter().flat_map(|asset| &asset.inputs).map(|path| names.name(path)));
     paths.into_iter().map(|path| format!("cargo:rerun-if-changed={path}")).collect()
 }
 

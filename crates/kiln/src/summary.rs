@@ -172,7 +172,13 @@ impl Summary {
             let _ = writeln!(out, "  {}", line.trim_end());
         }
         for asset in &self.assets {
-            let _ = writeln!(out, "  {} {} ({})", asset.output, asset.state, bytes(asset.bytes));
+            let state = match asset.state.as_str() {
+                "would-write" => "would be written",
+                "depends" => "may be written",
+                state => state,
+            };
+            let _ = write!(out, "  {} {state}", asset.output);
+            let _ = if asset.bytes > 0 { writeln!(out, " ({})", bytes(asset.bytes)) } else { writeln!(out) };
         }
         if let Some(remote) = &self.remote {
             let (hits, sent) = (remote.hits, remote.sent);

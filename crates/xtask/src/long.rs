@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use crate::{continuous, corpus, fuzz};
 
@@ -12,13 +12,14 @@ cargo xtask long [PART]; all parts without one
   corpus [NAME...]                     real models end to end (needs KILN_CORPUS)
   continuous                           layouts: counts, bytes, distances, picking, loading (needs KILN_CORPUS, numpy)
   kills                                builds killed at seeded moments
+  noop                                 builds without work and of one change, 10,000 assets, beside ninja (needs ninja)
   fuzz [--minutes N] [--target NAME]   each fuzz target for its share of N minutes, 60 unless told (needs cargo-fuzz)";
 
 /// Runs a part, or all of them.
 pub(crate) fn run(root: &Path, args: &[String]) -> Result<(), String> {
     match args.split_first() {
         None => {
-            let parts = [models(root, &[]), continuous::run(root), kills(root), fuzz::run(root, &[])];
+            let parts = [models(root, &[]), continuous::run(root), kills(root), noop(root), fuzz::run(root, &[])];
             let failed: Vec<String> = parts.into_iter().filter_map(Result::err).collect();
             if failed.is_empty() { Ok(()) } else { Err(failed.join("\n")) }
         }
@@ -26,6 +27,7 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<(), String> {
             "corpus" => models(root, rest),
             "continuous" => continuous::run(root),
             "kills" => kills(root),
+            "noop" => noop(root),
             "fuzz" => fuzz::run(root, rest),
             _ => Err(HELP.into()),
         },
@@ -56,6 +58,34 @@ fn kills(root: &Path) -> Result<(), String> {
     );
     fs::write(root.join("docs/results/crash.md"), text).map_err(|e| e.to_string())?;
     if output.status.success() { Ok(()) } else { Err(format!("crash: {said}")) }
+}
+
+fn noop(root: &Path) -> Result<(), String> {
+    let folder = std::env::temp_dir().join(format!("kiln-noop-{}", std::process::id()));
+    let cargo = |args: &[&str]| {
+        Command::new("cargo").args(args).current_dir(root).stderr(Stdio::inherit()).output().map_err(|e| e.to_string())
+    };
+    let built = cargo(&["build", "--release", "--locked", "-p", "kiln"])?;
+    if !built.status.success() {
+        return Err("kiln does not build".into());
+    }
+    let place = folder.to_string_lossy();
+    let ran = cargo(&["run", "--release", "--locked", "-p", "kiln-bench", "--bin", "noop", "--", &place]);
+    // What cannot be removed stays in the system's folder for such things.
+    let _ = fs::remove_dir_all(&folder);
+    let ran = ran?;
+    let text = format!(
+        "# Builds without work\n\n{}\n\nEach model is a file of 4 KiB with the stages merge, simplify and pack (five actions with the \
+         import and the collapse); ninja copies each, so that both look at as many inputs and outputs. Whole processes, from start to \
+         end, taken in turns on a warm page cache; ninja with `-j2`. What a change adds is each build less its stages and less the \
+         build without work right before it; it holds the waiting for the disk to have the container.\n\n{}",
+        stamp(root),
+        String::from_utf8_lossy(&ran.stdout)
+    );
+    if !ran.status.success() {
+        return Err("the benchmark `noop` failed".into());
+    }
+    fs::write(root.join("docs/results/noop.md"), text).map_err(|e| e.to_string())
 }
 
 /// Date and commit of a result.

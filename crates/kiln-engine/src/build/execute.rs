@@ -8,6 +8,7 @@ use std::time::Instant;
 
 use super::{Session, lock};
 use crate::context::Context;
+use crate::disk;
 use crate::error::ActionError;
 use crate::hash::{ContentHash, Fingerprint};
 use crate::manifest::Manifest;
@@ -92,12 +93,16 @@ impl Session<'_> {
         let start = Instant::now();
         let result = catch_unwind(AssertUnwindSafe(|| (self.plan.actions[action].run)(&context)));
         let seconds = start.elapsed().as_secs_f64();
-        if let Some(objection) = context.objection() {
-            return Err(objection);
-        }
-        let outputs = result.unwrap_or_else(|panic| Err(ActionError::Panicked { message: message_of(&*panic) }))?;
         let discovered = context.discovered();
+        let outputs = context
+            .objection()
+            .map_or(Ok(()), Err)
+            .and_then(|()| result.unwrap_or_else(|panic| Err(ActionError::Panicked { message: message_of(&*panic) })))
+            .inspect_err(|_| {
+                lock(&self.slots[action]).sought = discovered.iter().map(|(path, _)| path.clone()).collect();
+            })?;
         let manifest = manifest.with_discovered(&discovered);
+        let _writing = disk::writing();
         let record = Record {
             fingerprint: manifest.fingerprint(),
             kind: self.plan.actions[action].kind.to_owned(),

@@ -33,6 +33,8 @@ struct Slot {
     live: BTreeMap<String, Arc<[u8]>>,
     /// Actions and targets that read it and are not done.
     readers: usize,
+    /// Files that it asked for and failed.
+    sought: Vec<String>,
     warnings: Vec<String>,
 }
 
@@ -132,6 +134,7 @@ impl<'a> Session<'a> {
                 kind: action.kind,
                 state: slot.state.unwrap_or(ActionState::Skipped { because: None }),
                 record,
+                sought: slot.sought,
                 warnings: slot.warnings,
             });
         }

@@ -67,6 +67,7 @@ impl Session<'_> {
         disk::create_folder(full.parent().unwrap_or(Path::new("")))?;
         let temporary = temporary(&full);
         let _lock = self.store.lock(path)?;
+        let _writing = disk::writing();
         let sync = self.options.durability != Durability::Never;
         let written = disk::write(&temporary, &[bytes], sync).and_then(|()| disk::rename(&temporary, &full));
         if written.is_err() {

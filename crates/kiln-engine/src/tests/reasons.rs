@@ -114,7 +114,8 @@ fn a_changed_declared_file() {
     let new = ContentHash::of(b"a jar\n");
     let expected = StaleReason::InputFileChanged { path: "models/pot.txt".into(), old, new };
     let json = format!(r#"{{"reason":"input-file-changed","path":"models/pot.txt","old":"{old}","new":"{new}"}}"#);
-    expect(&toy, IMPORT, &expected, &json, "models/pot.txt changed");
+    let shown = format!("models/pot.txt changed: {} -> {}", old.short(), new.short());
+    expect(&toy, IMPORT, &expected, &json, &shown);
 }
 
 #[test]
@@ -125,7 +126,7 @@ fn a_changed_found_file() {
     let (old, new) = (ContentHash::of(b"banana"), ContentHash::of(b"berry"));
     let expected = StaleReason::InputFileChanged { path: "b.png".into(), old, new };
     let json = format!(r#"{{"reason":"input-file-changed","path":"b.png","old":"{old}","new":"{new}"}}"#);
-    expect(&toy, IMPORT, &expected, &json, "b.png changed");
+    expect(&toy, IMPORT, &expected, &json, &format!("b.png changed: {} -> {}", old.short(), new.short()));
 }
 
 #[test]
@@ -164,11 +165,42 @@ fn an_upstream_output_that_changed() {
     toy.build();
     toy.write("models/pot.txt", "a jar\n");
     let (report, _) = toy.build();
-    let expected = StaleReason::UpstreamOutputChanged { input: "text".into(), action: "pot#strip".into() };
+    let (old, new) = (ContentHash::of(b"a pot\nuse a.png\nuse b.png\n"), ContentHash::of(b"a jar\n"));
+    let (input, action) = ("text".to_owned(), "pot#strip".to_owned());
+    let expected = StaleReason::UpstreamOutputChanged { input, action, old: Some(old), new: Some(new) };
     assert_eq!(*reason(&report, SHOUT), expected);
-    let json = r#"{"reason":"upstream-output-changed","input":"text","action":"pot#strip"}"#;
+    let json = format!(
+        r#"{{"reason":"upstream-output-changed","input":"text","action":"pot#strip","old":"{old}","new":"{new}"}}"#
+    );
     assert_eq!(serde_json::to_string(&expected).unwrap(), json);
-    assert_eq!(expected.to_string(), "input `text` from pot#strip changed");
+    let shown = format!("input `text` from strip changed: {} -> {}", old.short(), new.short());
+    assert_eq!(expected.to_string(), shown);
+}
+
+#[test]
+fn an_input_that_is_new() {
+    let toy = Toy::new();
+    toy.build();
+    let mut plan = toy.plan();
+    plan.actions[SHOUT] = plan.actions[SHOUT].clone().input("more", Source::output(STRIP, "text"));
+    let report = toy.engine().build(&plan, &toy.options, &NoObserver).unwrap();
+    let text = ContentHash::of(b"a pot\nuse a.png\nuse b.png\n");
+    let shown = format!("input `more` from strip changed: (none) -> {}", text.short());
+    assert_eq!(reason(&report, SHOUT).to_string(), shown);
+}
+
+#[test]
+fn another_kind_of_stage_under_the_same_id() {
+    let toy = Toy::new();
+    toy.build();
+    let mut plan = toy.plan();
+    plan.actions[SHOUT].kind = "whisper";
+    let report = toy.engine().build(&plan, &toy.options, &NoObserver).unwrap();
+    let expected = StaleReason::StageKindChanged { old: "shout".into(), new: "whisper".into() };
+    assert_eq!(*reason(&report, SHOUT), expected);
+    let json = r#"{"reason":"stage-kind-changed","old":"shout","new":"whisper"}"#;
+    assert_eq!(serde_json::to_string(&expected).unwrap(), json);
+    assert_eq!(expected.to_string(), "kind of stage shout -> whisper");
 }
 
 #[test]
@@ -213,6 +245,18 @@ fn a_lost_blob_that_is_needed() {
     assert!(blob.exists());
     assert_eq!(serde_json::to_string(&expected).unwrap(), r#"{"reason":"blob-lost","what":"text"}"#);
     assert_eq!(expected.to_string(), "cache entry lost: text");
+}
+
+#[test]
+fn every_cause_is_expected_by_a_test_here() {
+    let source = include_str!("../reason.rs").split_once("pub enum StaleReason {").unwrap().1;
+    let variants = source.lines().take_while(|line| *line != "}").filter_map(|line| {
+        let name = line.strip_prefix("    ")?;
+        name.starts_with(char::is_uppercase).then(|| name.trim_end_matches([',', ' ', '{']))
+    });
+    let here = include_str!("reasons.rs");
+    let untested: Vec<_> = variants.filter(|name| !here.contains(&format!("StaleReason::{name}"))).collect();
+    assert!(untested.is_empty(), "{untested:?}");
 }
 
 /// Manifests over so few names and values that equal ones, and ones that differ in one field, are common.

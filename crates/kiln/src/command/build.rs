@@ -1,22 +1,25 @@
 //! `kiln build`.
 
-use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use kiln_engine::{ContentHash, Inconsistency, RemoteOptions, Verification};
 use kiln_pipeline::plan::{PlanError, folder_of};
 
 use super::args::BuildArgs;
-use super::watch::{self, Once};
+use super::watch::{self, Once, Watched};
 use super::{complain, data, diagnostics, progress};
 use crate::build::BuildError;
 use crate::config::Config;
 use crate::debug_images::StagePicture;
 use crate::exit::Exit;
 use crate::summary::{StageState, Summary, seconds};
+
+/// How long a cancelled build may take to end by itself, and how long to finish a file.
+const PATIENCE: Duration = Duration::from_millis(700);
 
 /// Builds every pipeline in turn; the gravest exit code wins.
 pub(super) fn run(args: &BuildArgs) -> Exit {
@@ -28,6 +31,7 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
             std::process::exit(130);
         }
         eprintln!("cancelling; what runs is asked to end");
+        std::thread::spawn(end_soon);
     });
     if let Err(error) = handler {
         eprintln!("warning: Ctrl-C will end the build at once: {error}");
@@ -39,18 +43,31 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
     };
     let remote = remote.as_ref();
     if !args.watch {
-        return all(args, remote, &cancel, false).exit;
+        return all(args, remote, &cancel, None).exit;
     }
-    let mut again = false;
-    watch::run(&cancel, &mut || all(args, remote, &cancel, std::mem::replace(&mut again, true)))
+    let mut last = None;
+    watch::run(&cancel, &mut || {
+        let once = all(args, remote, &cancel, last);
+        last = Some(once.exit);
+        once
+    })
 }
 
-/// Builds every pipeline once; `again`: what is fresh still needs no word.
-fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool>, again: bool) -> Once {
+/// Ends the process if the build does not end by itself: some stages take minutes and do not look up. Nothing of them is kept; files
+/// that are just being written are finished first.
+fn end_soon() {
+    std::thread::sleep(PATIENCE);
+    kiln_engine::quiesce(PATIENCE);
+    eprintln!("cancelled; what still ran was left");
+    std::process::exit(Exit::Failed.code().into());
+}
+
+/// Builds every pipeline once; `last`: how the build before it ended, while watching.
+fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool>, last: Option<Exit>) -> Once {
     let mut worst = Exit::Done;
     let mut reports = Vec::new();
     let mut depfile = String::new();
-    let mut folders = BTreeSet::new();
+    let mut watched = Watched::default();
     let mut all_known = true;
     for pipeline in &args.pipelines {
         let mut build = args.plan.build(pipeline);
@@ -78,12 +95,18 @@ fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool
                 if outcome.cancelled {
                     exit = Exit::Failed;
                 }
-                if !(again && outcome.summary.fresh) {
+                // What is fresh still needs no word; what is fresh again does.
+                let still = last.is_some_and(|last| last < Exit::Failed);
+                if !(still && outcome.summary.fresh) {
                     show(&outcome.summary, args.dry_run);
                 }
                 if let Some(dependencies) = &outcome.dependencies {
-                    depfile.push_str(&crate::depfile(dependencies, &folder_of(pipeline)));
-                    watch::folders(dependencies, &folder_of(pipeline), &mut folders);
+                    if args.depfile.is_some() {
+                        depfile.push_str(&crate::depfile(dependencies, &folder_of(pipeline)));
+                    }
+                    if args.watch {
+                        watched.add(dependencies, &folder_of(pipeline));
+                    }
                 } else {
                     all_known = false;
                 }
@@ -118,10 +141,10 @@ fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool
         };
         worst = worst.max(data(&report.expect("invariant: a summary is plain data")));
     }
-    // A pipeline that is broken from the start is watched for its repair.
-    let pipelines = args.pipelines.iter().map(|pipeline| folder_of(pipeline)).filter(|folder| folder.is_dir());
-    folders.extend(pipelines);
-    Once { exit: worst, folders: (all_known || !again).then_some(folders) }
+    for pipeline in args.pipelines.iter().filter(|_| args.watch) {
+        watched.add_pipeline(pipeline, &folder_of(pipeline));
+    }
+    Once { exit: worst, watched: (all_known || last.is_none()).then_some(watched) }
 }
 
 /// Says whether every stage gave the same bytes.

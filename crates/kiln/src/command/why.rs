@@ -13,19 +13,23 @@ pub(super) fn run(args: &WhyArgs) -> Exit {
         Some(pipeline) => vec![pipeline.clone()],
         None => pipelines_near(&args.output),
     };
+    let mut broken = Vec::new();
     for pipeline in &candidates {
         match why(&args.plan.build(pipeline), &args.output) {
             Ok(Some(outcome)) => return show(&outcome, pipeline, args.json),
             Ok(None) => {}
-            // A pipeline that was only guessed may be broken and still not be the one.
             Err(error) if args.pipeline.is_some() => return build::failed(&error),
-            Err(_) => {}
+            // A pipeline that was only guessed may be broken and still not be the one.
+            Err(error) => broken.push(error),
         }
     }
-    let help = if args.pipeline.is_some() {
-        "that pipeline does not build it".to_owned()
-    } else {
-        format!("{} pipelines near it do not build it; name one with --pipeline", candidates.len())
+    for error in &broken {
+        build::failed(error);
+    }
+    let help = match (args.pipeline.is_some(), broken.len()) {
+        (true, _) => "that pipeline does not build it".to_owned(),
+        (false, 0) => format!("none of {} pipelines near it builds it; name one with --pipeline", candidates.len()),
+        (false, _) => "what is broken above may be the one that builds it; else name one with --pipeline".to_owned(),
     };
     complain(Exit::Failed, &format!("no pipeline for {}: {help}", args.output.display()))
 }

@@ -1,9 +1,18 @@
 //! `kiln cache`, and a cache that two machines share, by the command.
 
-use std::fs;
-use std::path::Path;
+use std::io::{Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+use std::{env, fs, thread};
 
-use crate::space::{Space, ran, small};
+use kiln_engine::ContentHash;
+use serde_json::json;
+
+use crate::space::{Ran, Space, files_under, finished, ran, small};
 
 /// Builds through the shared folder, with a cache of its own.
 fn build_through(space: &Space, share: &Path, mode: &str) -> serde_json::Value {
@@ -76,4 +85,303 @@ fn stats_gc_and_verify_say_what_they_find() {
     fs::remove_file(space.path("out/model.kiln")).unwrap();
     assert!(!ran(&space.build()).is_empty());
     assert_eq!(space.read("out/model.kiln"), expected);
+}
+
+// --- who may be believed ---
+
+/// Builds with a configuration of its own; `args` after `build pipeline.toml`.
+fn build_with(space: &Space, config: &str, args: &[&str]) -> Ran {
+    space.write("config.toml", config);
+    let all = [&["build", "pipeline.toml", "--backend", "cpu", "--json"][..], args].concat();
+    finished(space.command(all).env("KILN_CONFIG", "config.toml"))
+}
+
+/// A share into which CI has sent the small pipeline in two variants; and what the first is, and how many stages it has.
+fn filled_share(config: &str) -> (tempfile::TempDir, Vec<u8>, usize) {
+    let share = tempfile::tempdir().unwrap();
+    let to = share.path().display().to_string();
+    let ci = small("boundary-pair.glb");
+    let args = ["--remote", &to, "--remote-mode", "write"];
+    let stages = ran(&build_with(&ci, config, &args).expect(0).json()).len();
+    let expected = ci.read("out/model.kiln");
+    build_with(&ci, config, &[&args[..], &["--set", "stage.bake.dilation=3"]].concat()).expect(0);
+    assert_ne!(ci.read("out/model.kiln"), expected);
+    (share, expected, stages)
+}
+
+/// Makes the record of the run that gave `truth` claim the other container of the share.
+fn forge(share: &Path, truth: &[u8]) {
+    let (hash, length) = (ContentHash::of(truth), truth.len() as u64);
+    let container = |path: &PathBuf| fs::read(path).unwrap()[56..].starts_with(&truth[..8]);
+    let other = files_under(&share.join("v1/blobs"));
+    let other = other.into_iter().find(|path| container(path) && !path.ends_with(hash.hex())).unwrap();
+    let bytes = fs::read(other).unwrap();
+    let lie = [&ContentHash::of(&bytes[56..]).0[..], &(bytes.len() as u64 - 56).to_le_bytes()].concat();
+    let said = [&hash.0[..], &length.to_le_bytes()].concat();
+    let mut forged = 0;
+    for record in files_under(&share.join("v1/actions")) {
+        let mut bytes = fs::read(&record).unwrap();
+        if let Some(at) = bytes.windows(said.len()).position(|part| part == said) {
+            bytes[at..at + lie.len()].copy_from_slice(&lie);
+            let seal = ContentHash::of(&bytes[40..]);
+            bytes[8..40].copy_from_slice(&seal.0);
+            fs::write(record, bytes).unwrap();
+            forged += 1;
+        }
+    }
+    assert_eq!(forged, 1);
+}
+
+#[test]
+fn a_record_that_lies_is_named_by_verify_and_what_rests_on_it_is_built_again() {
+    let (share, expected, stages) = filled_share("");
+    let remote = share.path().display().to_string();
+    let honest = small("boundary-pair.glb");
+    let report = build_with(&honest, "[remote]\ncheck = 1.0\n", &["--remote", &remote, "--verify"]).expect(0);
+    assert!(report.stderr.contains(&format!("{stages} of {stages} records of the remote were recomputed, 0 of them lied")));
+    assert!(report.json()["remote"]["checked"] == stages && ran(&report.json()).is_empty());
+
+    forge(share.path(), &expected);
+    let victim = small("boundary-pair.glb");
+    build_with(&victim, "", &["--remote", &remote]).expect(0);
+    assert!(victim.read("out/model.kiln") != expected, "nothing but running the stage could tell");
+
+    let careful = small("boundary-pair.glb");
+    let report = build_with(&careful, "[remote]\ncheck = 1.0\n", &["--remote", &remote, "--verify"]).expect(2);
+    let line = report.stderr.lines().find(|line| line.starts_with("error:")).unwrap();
+    assert!(line.contains("model.glb") && line.contains("pack") && line.contains("the remote's record says"), "{line}");
+    assert_eq!(report.json()["remote"]["refuted"], 1);
+    assert!(careful.read("out/model.kiln") == expected, "what rested on the lie was built again");
+    assert_eq!(ran(&careful.build()), Vec::<String>::new(), "the truth is kept here");
+    fs::remove_file(careful.path("out/model.kiln")).unwrap();
+    careful.build();
+    assert!(careful.read("out/model.kiln") == expected);
+
+    // A share of none looks at none; whoever may write puts the remote right.
+    let careless = small("boundary-pair.glb");
+    let report = build_with(&careless, "[remote]\ncheck = 0.0\n", &["--remote", &remote, "--verify"]).expect(0);
+    assert_eq!(report.json()["remote"]["checked"], 0);
+    let ci = small("boundary-pair.glb");
+    let args = ["--remote", &remote, "--remote-mode", "write", "--verify"];
+    build_with(&ci, "[remote]\ncheck = 1.0\n", &args).expect(2);
+    let person = small("boundary-pair.glb");
+    build_with(&person, "", &["--remote", &remote]).expect(0);
+    assert!(person.read("out/model.kiln") == expected);
+}
+
+#[test]
+fn with_trusted_keys_only_what_they_signed_is_taken() {
+    let keys = Space::new();
+    let key = |name: &str, digit: &str| {
+        let path = keys.write(name, digit.repeat(64)).display().to_string();
+        let public = keys.run(["cache", "key", &path]).expect(0).stdout.trim().to_owned();
+        (format!("[remote]\nsign_with = '{path}'\n"), format!("[remote]\ntrusted_keys = ['{public}']\n"))
+    };
+    let ((signs, trusts), (_, trusts_another)) = (key("ci", "1"), key("stranger", "2"));
+    let ran_by = |share: &Path, config: &str| {
+        let person = small("boundary-pair.glb");
+        let report = build_with(&person, config, &["--remote", &share.display().to_string()]).expect(0).json();
+        (ran(&report).len(), report["warnings"][0].as_str().unwrap_or_default().to_owned())
+    };
+    let (signed, _, stages) = filled_share(&signs);
+    assert_eq!(ran_by(signed.path(), &trusts), (0, String::new()));
+    let (all, told) = ran_by(signed.path(), &trusts_another);
+    assert!(all == stages && told.contains("a key that is not trusted"), "{told}");
+    let (unsigned, ..) = filled_share("");
+    let (all, told) = ran_by(unsigned.path(), &trusts);
+    assert!(all == stages && told.contains("is not signed"), "{told}");
+    assert_eq!(ran_by(unsigned.path(), "").0, 0);
+    // Whoever looks after the folder needs no key.
+    let verified = keys.run(["cache", "verify", "--cache", &signed.path().display().to_string()]).expect(0);
+    assert!(verified.stdout.contains("0 files were damaged"), "{}", verified.stdout);
+}
+
+// --- servers ---
+
+/// moto's S3; ends with the test.
+struct Moto(Child, u16);
+
+impl Drop for Moto {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl Moto {
+    /// A server with the bucket `kiln`; `None`, said, where none is installed, and a failure where it is asked for.
+    fn start() -> Option<Moto> {
+        let moto = Moto::started();
+        if moto.is_none() {
+            assert!(env::var_os("KILN_REQUIRE_S3").is_none(), "moto_server is asked for and does not start");
+            eprintln!("skipped: needs moto_server");
+        }
+        moto
+    }
+
+    fn started() -> Option<Moto> {
+        let port = TcpListener::bind("127.0.0.1:0").ok()?.local_addr().ok()?.port();
+        let mut command = Command::new("moto_server");
+        command.args(["-H", "127.0.0.1", "-p", &port.to_string()]).stdout(Stdio::null()).stderr(Stdio::null());
+        let mut moto = Moto(command.spawn().ok()?, port);
+        let bucket = "PUT /kiln HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
+        loop {
+            if moto.0.try_wait().ok()?.is_some() {
+                return None;
+            }
+            let Ok(mut stream) = TcpStream::connect(("127.0.0.1", port)) else {
+                thread::park_timeout(Duration::from_millis(20));
+                continue;
+            };
+            let mut answer = String::new();
+            stream.write_all(bucket.as_bytes()).ok()?;
+            stream.read_to_string(&mut answer).ok()?;
+            return answer.contains("200").then_some(moto);
+        }
+    }
+}
+
+/// The configuration of a machine that reaches S3 at `port`.
+fn s3(port: u16) -> String {
+    format!(
+        "[remote]\npatience = '2s'\nsettings = {{ endpoint = 'http://127.0.0.1:{port}', allow_http = 'true', region = 'us-east-1', \
+         access_key_id = 'kiln', secret_access_key = 'kiln' }}\n"
+    )
+}
+
+/// A way to `server` that dies, and kills it, when so many bytes came back through it.
+fn dying(mut server: Moto, bytes: usize) -> u16 {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let behind = server.1;
+    let (tell, dead) = std::sync::mpsc::channel();
+    let left = Arc::new(AtomicUsize::new(bytes));
+    thread::spawn(move || {
+        for client in listener.incoming().flatten() {
+            let Ok(upstream) = TcpStream::connect(("127.0.0.1", behind)) else { return };
+            let (mut up_in, mut up_out) = (client.try_clone().unwrap(), upstream.try_clone().unwrap());
+            thread::spawn(move || std::io::copy(&mut up_in, &mut up_out));
+            let (left, tell) = (left.clone(), tell.clone());
+            thread::spawn(move || {
+                let (mut from, mut to, mut part) = (upstream, client, [0; 4096]);
+                while let Ok(count @ 1..) = from.read(&mut part) {
+                    let before = left.load(Ordering::Relaxed);
+                    left.store(before.saturating_sub(count), Ordering::Relaxed);
+                    if before < count || to.write_all(&part[..count]).is_err() {
+                        let _ = tell.send(());
+                        break;
+                    }
+                }
+                let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
+            });
+        }
+    });
+    thread::spawn(move || {
+        let _ = dead.recv();
+        let _ = server.0.kill();
+        // Waited for when it is dropped.
+        drop(server);
+    });
+    port
+}
+
+#[test]
+fn a_second_machine_takes_every_stage_from_s3_and_survives_the_server() {
+    let Some(moto) = Moto::start() else { return };
+    let remote = ["--remote", "s3://kiln/studio/cache"];
+    let ci = small("boundary-pair.glb");
+    let sent = build_with(&ci, &s3(moto.1), &[&remote[..], &["--remote-mode", "write"]].concat()).expect(0).json();
+    let stages = ran(&sent).len();
+    assert!(stages > 4 && sent["remote"]["sent"] == stages, "{}", sent["remote"]);
+
+    let person = small("boundary-pair.glb");
+    let taken = build_with(&person, &s3(moto.1), &remote).expect(0).json();
+    assert!(ran(&taken).is_empty() && taken["warnings"] == json!([]), "{taken}");
+    assert!(taken["remote"]["hits"] == stages && taken["remote"]["failures"] == 0, "{}", taken["remote"]);
+    assert!(person.read("out/model.kiln") == ci.read("out/model.kiln"));
+
+    let nobody = small("boundary-pair.glb");
+    let absent = build_with(&nobody, &s3(moto.1), &["--remote", "s3://absent/cache"]).expect(0).json();
+    let told = absent["warnings"][0].as_str().unwrap_or_default();
+    assert!(told.contains("there is no such bucket"), "{absent}");
+
+    let half = taken["remote"]["bytes_received"].as_u64().unwrap() as usize / 2;
+    let port = dying(moto, half);
+    let unlucky = small("boundary-pair.glb");
+    let report = build_with(&unlucky, &s3(port), &[&remote[..], &["--jobs", "1"]].concat()).expect(0).json();
+    let (hits, again) = (report["remote"]["hits"].as_u64().unwrap() as usize, ran(&report).len());
+    assert!(hits > 0 && again > 0 && hits + again == stages, "{hits} taken, {again} run");
+    assert_eq!(report["warnings"].as_array().unwrap().len(), 1, "{}", report["warnings"]);
+    assert!(unlucky.read("out/model.kiln") == ci.read("out/model.kiln"));
+    unlucky.run(["cache", "verify"]).expect(0);
+}
+
+/// A web server that does to every connection what `trouble` says; the listener ends with the process.
+fn troublesome(trouble: fn(&mut TcpStream)) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    thread::spawn(move || {
+        for mut stream in listener.incoming().flatten() {
+            thread::spawn(move || {
+                let mut request = [0; 4096];
+                while let Ok(1..) = stream.read(&mut request) {
+                    trouble(&mut stream);
+                }
+            });
+        }
+    });
+    format!("http://127.0.0.1:{port}/cache")
+}
+
+fn says(stream: &mut TcpStream, text: &str) {
+    let _ = stream.write_all(text.as_bytes());
+}
+
+#[test]
+fn a_server_in_trouble_costs_a_warning_and_time() {
+    let clean = small("boundary-pair.glb");
+    clean.build();
+    let closes = |stream: &mut TcpStream| drop(stream.shutdown(Shutdown::Both));
+    let troubles: [(&str, fn(&mut TcpStream)); 8] = [
+        ("silent", |_| ()),
+        ("garbage", |stream| says(stream, &"\u{1}\u{2}".repeat(3000))),
+        ("cut off", |stream| {
+            says(stream, "HTTP/1.1 200 x\r\nContent-Length: 100000\r\n\r\nkiln");
+            let _ = stream.shutdown(Shutdown::Both);
+        }),
+        ("wrong", |stream| says(stream, "HTTP/1.1 200 x\r\nContent-Length: 9\r\n\r\n<html></x")),
+        ("500", |stream| says(stream, "HTTP/1.1 500 x\r\nContent-Length: 0\r\n\r\n")),
+        ("403", |stream| says(stream, "HTTP/1.1 403 x\r\nContent-Length: 0\r\n\r\n")),
+        ("closes", closes),
+        ("slow", |stream| {
+            // Nobody writes meanwhile: this waits.
+            let _ = stream.set_read_timeout(Some(Duration::from_millis(700)));
+            let _ = stream.peek(&mut [0]);
+            says(stream, "HTTP/1.1 404 x\r\nContent-Length: 0\r\n\r\n");
+        }),
+    ];
+    for (name, trouble) in troubles {
+        let url = troublesome(trouble);
+        let space = small("boundary-pair.glb");
+        let report = build_with(&space, "[remote]\npatience = '1s'\n", &["--remote", &url]).expect(0).json();
+        assert!(report["remote"]["left_alone"] == true && report["remote"]["hits"] == 0, "{name}: {}", report["remote"]);
+        assert_eq!(report["warnings"].as_array().unwrap().len(), 1, "{name}: {}", report["warnings"]);
+        assert!(space.read("out/model.kiln") == clean.read("out/model.kiln"), "{name}");
+    }
+}
+
+#[test]
+fn wrong_blobs_on_the_share_are_not_taken() {
+    let (share, expected, stages) = filled_share("");
+    for blob in files_under(&share.path().join("v1/blobs")) {
+        let mut bytes = fs::read(&blob).unwrap();
+        let last = bytes.len() - 1;
+        bytes[last] ^= 1;
+        fs::write(blob, bytes).unwrap();
+    }
+    let person = small("boundary-pair.glb");
+    let report = build_through(&person, share.path(), "read");
+    assert!(ran(&report).len() == stages && report["remote"]["hits"] == 0, "{}", report["remote"]);
+    assert_eq!(report["warnings"].as_array().unwrap().len(), 1, "{}", report["warnings"]);
+    assert!(person.read("out/model.kiln") == expected);
 }

@@ -1,16 +1,11 @@
 //! `kiln cache`, and a cache that two machines share, by the command.
 
-use std::io::{Read, Write};
-use std::net::{Shutdown, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Duration;
-use std::{env, fs, thread};
+use std::{env, fs};
 
 use kiln_engine::ContentHash;
 use serde_json::json;
+use xtask::servers::{Moto, TROUBLES, troublesome};
 
 use crate::space::{Ran, Space, files_under, finished, ran, small};
 
@@ -138,7 +133,9 @@ fn a_record_that_lies_is_named_by_verify_and_what_rests_on_it_is_built_again() {
     let remote = share.path().display().to_string();
     let honest = small("boundary-pair.glb");
     let report = build_with(&honest, "[remote]\ncheck = 1.0\n", &["--remote", &remote, "--verify"]).expect(0);
-    assert!(report.stderr.contains(&format!("{stages} of {stages} records of the remote were recomputed, 0 of them lied")));
+    assert!(
+        report.stderr.contains(&format!("{stages} of {stages} records of the remote were recomputed, 0 of them lied"))
+    );
     assert!(report.json()["remote"]["checked"] == stages && ran(&report.json()).is_empty());
 
     forge(share.path(), &expected);
@@ -193,52 +190,19 @@ fn with_trusted_keys_only_what_they_signed_is_taken() {
     assert_eq!(ran_by(unsigned.path(), "").0, 0);
     // Whoever looks after the folder needs no key.
     let verified = keys.run(["cache", "verify", "--cache", &signed.path().display().to_string()]).expect(0);
-    assert!(verified.stdout.contains("0 files were damaged"), "{}", verified.stdout);
+    assert!(verified.stdout.contains("nothing is damaged"), "{}", verified.stdout);
 }
 
 // --- servers ---
 
-/// moto's S3; ends with the test.
-struct Moto(Child, u16);
-
-impl Drop for Moto {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+/// moto's S3; `None`, said, where it is not installed, and a failure where it is asked for.
+fn moto() -> Option<Moto> {
+    let moto = Moto::start();
+    if moto.is_none() {
+        assert!(env::var_os("KILN_REQUIRE_S3").is_none(), "moto_server is asked for and does not start");
+        eprintln!("skipped: needs moto_server");
     }
-}
-
-impl Moto {
-    /// A server with the bucket `kiln`; `None`, said, where none is installed, and a failure where it is asked for.
-    fn start() -> Option<Moto> {
-        let moto = Moto::started();
-        if moto.is_none() {
-            assert!(env::var_os("KILN_REQUIRE_S3").is_none(), "moto_server is asked for and does not start");
-            eprintln!("skipped: needs moto_server");
-        }
-        moto
-    }
-
-    fn started() -> Option<Moto> {
-        let port = TcpListener::bind("127.0.0.1:0").ok()?.local_addr().ok()?.port();
-        let mut command = Command::new("moto_server");
-        command.args(["-H", "127.0.0.1", "-p", &port.to_string()]).stdout(Stdio::null()).stderr(Stdio::null());
-        let mut moto = Moto(command.spawn().ok()?, port);
-        let bucket = "PUT /kiln HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
-        loop {
-            if moto.0.try_wait().ok()?.is_some() {
-                return None;
-            }
-            let Ok(mut stream) = TcpStream::connect(("127.0.0.1", port)) else {
-                thread::park_timeout(Duration::from_millis(20));
-                continue;
-            };
-            let mut answer = String::new();
-            stream.write_all(bucket.as_bytes()).ok()?;
-            stream.read_to_string(&mut answer).ok()?;
-            return answer.contains("200").then_some(moto);
-        }
-    }
+    moto
 }
 
 /// The configuration of a machine that reaches S3 at `port`.
@@ -249,64 +213,28 @@ fn s3(port: u16) -> String {
     )
 }
 
-/// A way to `server` that dies, and kills it, when so many bytes came back through it.
-fn dying(mut server: Moto, bytes: usize) -> u16 {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let port = listener.local_addr().unwrap().port();
-    let behind = server.1;
-    let (tell, dead) = std::sync::mpsc::channel();
-    let left = Arc::new(AtomicUsize::new(bytes));
-    thread::spawn(move || {
-        for client in listener.incoming().flatten() {
-            let Ok(upstream) = TcpStream::connect(("127.0.0.1", behind)) else { return };
-            let (mut up_in, mut up_out) = (client.try_clone().unwrap(), upstream.try_clone().unwrap());
-            thread::spawn(move || std::io::copy(&mut up_in, &mut up_out));
-            let (left, tell) = (left.clone(), tell.clone());
-            thread::spawn(move || {
-                let (mut from, mut to, mut part) = (upstream, client, [0; 4096]);
-                while let Ok(count @ 1..) = from.read(&mut part) {
-                    let before = left.load(Ordering::Relaxed);
-                    left.store(before.saturating_sub(count), Ordering::Relaxed);
-                    if before < count || to.write_all(&part[..count]).is_err() {
-                        let _ = tell.send(());
-                        break;
-                    }
-                }
-                let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
-            });
-        }
-    });
-    thread::spawn(move || {
-        let _ = dead.recv();
-        let _ = server.0.kill();
-        // Waited for when it is dropped.
-        drop(server);
-    });
-    port
-}
-
 #[test]
 fn a_second_machine_takes_every_stage_from_s3_and_survives_the_server() {
-    let Some(moto) = Moto::start() else { return };
+    let Some(moto) = moto() else { return };
     let remote = ["--remote", "s3://kiln/studio/cache"];
     let ci = small("boundary-pair.glb");
-    let sent = build_with(&ci, &s3(moto.1), &[&remote[..], &["--remote-mode", "write"]].concat()).expect(0).json();
+    let sent = build_with(&ci, &s3(moto.port()), &[&remote[..], &["--remote-mode", "write"]].concat()).expect(0).json();
     let stages = ran(&sent).len();
     assert!(stages > 4 && sent["remote"]["sent"] == stages, "{}", sent["remote"]);
 
     let person = small("boundary-pair.glb");
-    let taken = build_with(&person, &s3(moto.1), &remote).expect(0).json();
+    let taken = build_with(&person, &s3(moto.port()), &remote).expect(0).json();
     assert!(ran(&taken).is_empty() && taken["warnings"] == json!([]), "{taken}");
     assert!(taken["remote"]["hits"] == stages && taken["remote"]["failures"] == 0, "{}", taken["remote"]);
     assert!(person.read("out/model.kiln") == ci.read("out/model.kiln"));
 
     let nobody = small("boundary-pair.glb");
-    let absent = build_with(&nobody, &s3(moto.1), &["--remote", "s3://absent/cache"]).expect(0).json();
+    let absent = build_with(&nobody, &s3(moto.port()), &["--remote", "s3://absent/cache"]).expect(0).json();
     let told = absent["warnings"][0].as_str().unwrap_or_default();
     assert!(told.contains("there is no such bucket"), "{absent}");
 
     let half = taken["remote"]["bytes_received"].as_u64().unwrap() as usize / 2;
-    let port = dying(moto, half);
+    let port = moto.dying_after(half).unwrap();
     let unlucky = small("boundary-pair.glb");
     let report = build_with(&unlucky, &s3(port), &[&remote[..], &["--jobs", "1"]].concat()).expect(0).json();
     let (hits, again) = (report["remote"]["hits"].as_u64().unwrap() as usize, ran(&report).len());
@@ -316,55 +244,19 @@ fn a_second_machine_takes_every_stage_from_s3_and_survives_the_server() {
     unlucky.run(["cache", "verify"]).expect(0);
 }
 
-/// A web server that does to every connection what `trouble` says; the listener ends with the process.
-fn troublesome(trouble: fn(&mut TcpStream)) -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let port = listener.local_addr().unwrap().port();
-    thread::spawn(move || {
-        for mut stream in listener.incoming().flatten() {
-            thread::spawn(move || {
-                let mut request = [0; 4096];
-                while let Ok(1..) = stream.read(&mut request) {
-                    trouble(&mut stream);
-                }
-            });
-        }
-    });
-    format!("http://127.0.0.1:{port}/cache")
-}
-
-fn says(stream: &mut TcpStream, text: &str) {
-    let _ = stream.write_all(text.as_bytes());
-}
-
 #[test]
 fn a_server_in_trouble_costs_a_warning_and_time() {
     let clean = small("boundary-pair.glb");
     clean.build();
-    let closes = |stream: &mut TcpStream| drop(stream.shutdown(Shutdown::Both));
-    let troubles: [(&str, fn(&mut TcpStream)); 8] = [
-        ("silent", |_| ()),
-        ("garbage", |stream| says(stream, &"\u{1}\u{2}".repeat(3000))),
-        ("cut off", |stream| {
-            says(stream, "HTTP/1.1 200 x\r\nContent-Length: 100000\r\n\r\nkiln");
-            let _ = stream.shutdown(Shutdown::Both);
-        }),
-        ("wrong", |stream| says(stream, "HTTP/1.1 200 x\r\nContent-Length: 9\r\n\r\n<html></x")),
-        ("500", |stream| says(stream, "HTTP/1.1 500 x\r\nContent-Length: 0\r\n\r\n")),
-        ("403", |stream| says(stream, "HTTP/1.1 403 x\r\nContent-Length: 0\r\n\r\n")),
-        ("closes", closes),
-        ("slow", |stream| {
-            // Nobody writes meanwhile: this waits.
-            let _ = stream.set_read_timeout(Some(Duration::from_millis(700)));
-            let _ = stream.peek(&mut [0]);
-            says(stream, "HTTP/1.1 404 x\r\nContent-Length: 0\r\n\r\n");
-        }),
-    ];
-    for (name, trouble) in troubles {
-        let url = troublesome(trouble);
+    for (name, trouble) in TROUBLES {
+        let url = troublesome(trouble).unwrap();
         let space = small("boundary-pair.glb");
         let report = build_with(&space, "[remote]\npatience = '1s'\n", &["--remote", &url]).expect(0).json();
-        assert!(report["remote"]["left_alone"] == true && report["remote"]["hits"] == 0, "{name}: {}", report["remote"]);
+        assert!(
+            report["remote"]["left_alone"] == true && report["remote"]["hits"] == 0,
+            "{name}: {}",
+            report["remote"]
+        );
         assert_eq!(report["warnings"].as_array().unwrap().len(), 1, "{name}: {}", report["warnings"]);
         assert!(space.read("out/model.kiln") == clean.read("out/model.kiln"), "{name}");
     }

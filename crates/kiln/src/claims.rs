@@ -17,7 +17,8 @@ pub(crate) fn build(
     observer: &dyn Observer,
     check: bool,
 ) -> Result<Built, EngineError> {
-    let mut built = Built { report: engine.build(plan, options, observer)?, remote: engine.remote_report(), lies: Vec::new() };
+    let mut built =
+        Built { report: engine.build(plan, options, observer)?, remote: engine.remote_report(), lies: Vec::new() };
     for _ in 0..plan.actions.len() {
         if !check || built.report.cancelled || options.dry_run {
             break;
@@ -29,7 +30,8 @@ pub(crate) fn build(
         }
         built.lies.extend(found.lies.iter().map(lie));
         built.lies.extend(found.inconsistent.iter().map(fickle));
-        let unchecked = |(label, why): &(String, String)| format!("{label}: the remote's record cannot be checked: {why}");
+        let unchecked =
+            |(label, why): &(String, String)| format!("{label}: the remote's record cannot be checked: {why}");
         built.lies.extend(found.failed.iter().map(unchecked));
         if found.lies.is_empty() {
             break;
@@ -57,5 +59,7 @@ fn lie(found: &Inconsistency) -> String {
 
 fn fickle(found: &Inconsistency) -> String {
     let Inconsistency { label, output, .. } = found;
-    format!("{label}: output `{output}` is another each time the stage runs: no record of it can be checked; report this stage")
+    format!(
+        "{label}: output `{output}` is another each time the stage runs: no record of it can be checked; report this stage"
+    )
 }

@@ -73,9 +73,7 @@ impl Store {
     /// Local lists, then, if those are used up, the remote's.
     pub(crate) fn lists(&self, declared: &Fingerprint) -> impl Iterator<Item = Vec<String>> {
         let declared = *declared;
-        self.local_lists(&declared)
-            .into_iter()
-            .chain(self.claimed_lists(declared))
+        self.local_lists(&declared).into_iter().chain(self.claimed_lists(declared))
     }
 
     /// Keeps a list of files.

@@ -154,7 +154,10 @@ fn show_verified(pipeline: &Path, found: &Verification) -> Exit {
 fn show_checked(summary: &Summary) {
     let remote = summary.remote.clone().unwrap_or_default();
     let (hits, checked, refuted) = (remote.hits, remote.checked, remote.refuted);
-    eprintln!("{}: {checked} of {hits} records of the remote were recomputed, {refuted} of them lied", summary.pipeline);
+    eprintln!(
+        "{}: {checked} of {hits} records of the remote were recomputed, {refuted} of them lied",
+        summary.pipeline
+    );
 }
 
 /// Writes debug pictures as PNG and says what each shows.

@@ -74,8 +74,10 @@ pub(crate) fn unsigned(bytes: &[u8]) -> &[u8] {
     split_signature(bytes).0
 }
 
+type KeyAndSignature<'a> = (&'a [u8], &'a [u8]);
+
 /// The sealed object, and key and signature if there are any.
-fn split_signature(bytes: &[u8]) -> (&[u8], Option<(&[u8], &[u8])>) {
+fn split_signature(bytes: &[u8]) -> (&[u8], Option<KeyAndSignature<'_>>) {
     let Some(at) = bytes.len().checked_sub(SIGNATURE) else { return (bytes, None) };
     let (object, tail) = bytes.split_at(at);
     match tail.strip_prefix(SIGNATURE_MAGIC) {
@@ -102,7 +104,8 @@ fn well_formed(record: &Record, longest_blob: u64) -> Result<(), &'static str> {
     {
         return Err("has a wrong list of files");
     }
-    if !is_name(&record.kind) || !(record.seconds.is_finite() && record.seconds >= 0.0) {
+    let timed = record.seconds.is_finite() && record.seconds >= 0.0;
+    if !timed || !is_name(&record.kind) {
         return Err("has a wrong kind or time");
     }
     // Its sentences are shown to people: nothing in it may speak to a terminal.

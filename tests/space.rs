@@ -56,6 +56,29 @@ pub(crate) fn corpus(path: &str) -> Option<PathBuf> {
     needs(folder.map(|folder| folder.canonicalize().unwrap().join(path)), "KILN_CORPUS")
 }
 
+/// Runs a command to its end.
+pub(crate) fn finished(command: &mut Command) -> Ran {
+    let output = command.output().unwrap();
+    Ran {
+        code: output.status.code().unwrap_or(-1),
+        stdout: String::from_utf8(output.stdout).unwrap(),
+        stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
+    }
+}
+
+/// All files under a folder, sorted.
+pub(crate) fn files_under(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let mut open = vec![folder.to_owned()];
+    while let Some(folder) = open.pop() {
+        for entry in fs::read_dir(&folder).into_iter().flatten().flatten() {
+            if entry.path().is_dir() { open.push(entry.path()) } else { found.push(entry.path()) }
+        }
+    }
+    found.sort();
+    found
+}
+
 impl Space {
     pub(crate) fn new() -> Space {
         Space { folder: tempfile::tempdir().unwrap() }
@@ -129,12 +152,7 @@ impl Space {
 
     /// Runs the command to its end.
     pub(crate) fn run(&self, args: impl IntoIterator<Item = impl AsRef<OsStr>>) -> Ran {
-        let output = self.command(args).output().unwrap();
-        Ran {
-            code: output.status.code().unwrap_or(-1),
-            stdout: String::from_utf8(output.stdout).unwrap(),
-            stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
-        }
+        finished(&mut self.command(args))
     }
 
     /// Builds `pipeline.toml` on the CPU backend and gives the JSON report.

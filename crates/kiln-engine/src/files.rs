@@ -44,6 +44,12 @@ impl Seen {
 /// A file's bytes and their digest; `None` if it is absent.
 pub(crate) type Content = Option<(Arc<[u8]>, ContentHash)>;
 
+/// Whether reading ends: it does not of a pipe or of a device.
+fn is_plain(metadata: &fs::Metadata) -> io::Result<()> {
+    // What a folder is, the system says itself.
+    if metadata.is_file() || metadata.is_dir() { Ok(()) } else { Err(io::Error::other("it is no regular file")) }
+}
+
 /// The files of one build; each is looked at once, so that one build sees one content.
 pub(crate) struct Files<'a> {
     root: &'a Path,
@@ -100,6 +106,7 @@ impl<'a> Files<'a> {
             Err(error) if is_absent(&error) => Seen { hash: None, stat: None },
             Err(error) => return Err(IoError::new("look at", full)(error)),
             Ok(metadata) => {
+                is_plain(&metadata).map_err(IoError::new("read", &full))?;
                 let stat = Stat::of(&metadata);
                 match self.memo.and_then(|memo| memo.memo(path)) {
                     Some((known, hash)) if known == stat => Seen { hash: Some(hash), stat: Some(stat) },
@@ -130,6 +137,7 @@ impl<'a> Files<'a> {
     pub(crate) fn read(&self, path: &str) -> Result<Content, IoError> {
         let full = self.full(path);
         let read = || -> io::Result<(Vec<u8>, Stat, Stat)> {
+            is_plain(&fs::metadata(&full)?)?;
             let mut file = File::open(&full)?;
             let before = Stat::of(&file.metadata()?);
             let mut bytes = Vec::new();

@@ -90,4 +90,4 @@ pub use report::{
     TargetReport, TargetState, Verdict, Why,
 };
 pub use store::{Cache, CacheStats, Count, GcOptions, GcReport, KindStats, VerifyReport};
-pub use verify::{Around, Inconsistency, Verification};
+pub use verify::{Around, ClaimCheck, Inconsistency, Verification};

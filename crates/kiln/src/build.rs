@@ -14,6 +14,7 @@ use kiln_pipeline::stages::{Backend, StageError};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::claims::{self, Built};
 use crate::debug_images::{StagePicture, debug_pictures};
 use crate::summary::{AssetSummary, StageState, StageSummary, Summary, Untouched};
 use crate::{memory, worker};
@@ -37,6 +38,9 @@ pub struct Build {
     pub dry_run: bool,
     /// A cache that others share, asked for what the own one lacks; `None`: no other. Never changes what comes out.
     pub remote: Option<RemoteOptions>,
+    /// Recompute a sample of what the remote gave ([`RemoteOptions::check_share`]); a record that lied is an error, and what was made
+    /// from it is made again.
+    pub check_claims: bool,
     /// Draw debug pictures of the stages that have any, fresh ones too. Changes nothing else.
     pub debug_pictures: bool,
     /// Count the assets about which nothing changed instead of listing them in the summary.
@@ -90,6 +94,7 @@ impl Build {
             keep_going: false,
             dry_run: false,
             remote: None,
+            check_claims: false,
             debug_pictures: false,
             brief: false,
             dependencies: false,
@@ -191,7 +196,8 @@ impl Build {
             engine = engine.with_remote(Remote::open(options.clone())?);
         }
         let peaks = Peaks { inner: observer, peaks: Mutex::new(vec![None; planned.plan.actions.len()]) };
-        let report = engine.build(&planned.plan, &options, &peaks)?;
+        let Built { report, remote, lies } =
+            claims::build(&mut engine, &planned.plan, &options, &peaks, self.check_claims)?;
         let peaks = peaks.peaks.into_inner().unwrap_or_else(PoisonError::into_inner);
         let parts: Vec<Part> = planned.assets.iter().map(|asset| part(asset, &report, &peaks)).collect();
         let kept = match self.dry_run {
@@ -199,7 +205,8 @@ impl Build {
             false => engine.remember(&planned.plan, &report, &memory(key, &planned, &parts)),
         };
         let mut summary = self.summary(&report, parts);
-        summary.remote = engine.remote_report();
+        summary.remote = remote;
+        summary.errors.extend(lies);
         summary.warnings.extend(kept.err().map(|error| format!("{error}; the next build will look closer")));
         if partial {
             self.add_untouched(&mut summary, &engine);

@@ -11,7 +11,8 @@
 //! mode = "read"                   # "write" for CI
 //! trusted_keys = ["d75a9801..."]  # if any: only records signed by one of them are taken
 //! sign_with = "/etc/kiln/key"     # a file of 64 hexadecimal digits
-//! check = 0.05                    # the share of remote hits that `--verify` recomputes
+//! check = 0.05                    # the share of remote hits that `--verify --remote` recomputes
+//! patience = "15s"                # what a build may lose to a remote that fails or is slow
 //! settings = { region = "eu-central-1" }
 //! ```
 //!
@@ -65,6 +66,8 @@ pub struct RemoteConfig {
     pub sign_with: Option<PathBuf>,
     /// 0 to 1.
     pub check: Option<f64>,
+    /// A time such as `15s`.
+    pub patience: Option<String>,
     /// The service's own settings.
     #[serde(default)]
     pub settings: BTreeMap<String, String>,
@@ -161,6 +164,9 @@ impl Config {
                 return Err(value_error("remote.check", format!("{share} is not between 0 and 1")));
             }
             options.check_share = share;
+        }
+        if let Some(text) = &self.remote.patience {
+            options.lost_limit = parse_age(text).map_err(|message| value_error("remote.patience", message))?;
         }
         options.settings = self.remote.settings.clone().into_iter().collect();
         Ok(Some(options))
@@ -265,6 +271,7 @@ mod tests {
             ("[remote]\nmode = 'rw'", "neither `read` nor `write`"),
             ("[remote]\ntrusted_keys = ['ab']", "not 64 hexadecimal digits"),
             ("[remote]\ncheck = 2.0", "not between 0 and 1"),
+            ("[remote]\npatience = 'much'", "no time span"),
         ] {
             let told = parse(text).unwrap().remote(Some("x"), None).unwrap_err().to_string();
             assert!(told.contains(expected), "{told}");

@@ -15,6 +15,7 @@
 //! [`worker`] (the child process around xatlas), `command` (the command line, behind the feature `cli`).
 
 pub mod build;
+mod claims;
 #[cfg(feature = "cli")]
 pub mod command;
 pub mod config;

@@ -190,8 +190,7 @@ impl Session<'_> {
         let id = &self.plan.actions[action].id;
         let no_output = || ActionError::NoOutput { action: id.clone(), output: output.to_owned() };
         let record = self.record(action).ok_or_else(no_output)?;
-        let hash = record.output(output).ok_or_else(no_output)?.hash;
-        let bytes = self.store.blob(&hash);
+        let bytes = self.store.blob_of(record.output(output).ok_or_else(no_output)?);
         if let Some(bytes) = &bytes {
             let mut slot = lock(&self.slots[action]);
             if slot.readers > 1 {

@@ -49,7 +49,9 @@ impl Session<'_> {
             if tried.contains(&list) || !list.iter().all(|path| is_inside(path, outside)) {
                 continue;
             }
-            let manifest = declared.with_discovered(&self.contents(folder, &list)?);
+            // A list is a guess: one that names what cannot be read is no help, and the run itself says what is wrong with its files.
+            let Ok(contents) = self.contents(folder, &list) else { continue };
+            let manifest = declared.with_discovered(&contents);
             if let Some(record) = self.known(action, manifest.fingerprint()) {
                 return Ok(Resolved {
                     manifest,

@@ -69,8 +69,15 @@ pub(crate) fn open_record(
     Ok(record)
 }
 
+/// The sealed object alone: who looks after a remote folder with `kiln cache` need not know its signers.
+pub(crate) fn unsigned(bytes: &[u8]) -> &[u8] {
+    split_signature(bytes).0
+}
+
+type KeyAndSignature<'a> = (&'a [u8], &'a [u8]);
+
 /// The sealed object, and key and signature if there are any.
-fn split_signature(bytes: &[u8]) -> (&[u8], Option<(&[u8], &[u8])>) {
+fn split_signature(bytes: &[u8]) -> (&[u8], Option<KeyAndSignature<'_>>) {
     let Some(at) = bytes.len().checked_sub(SIGNATURE) else { return (bytes, None) };
     let (object, tail) = bytes.split_at(at);
     match tail.strip_prefix(SIGNATURE_MAGIC) {
@@ -97,13 +104,35 @@ fn well_formed(record: &Record, longest_blob: u64) -> Result<(), &'static str> {
     {
         return Err("has a wrong list of files");
     }
-    if !is_name(&record.kind) || !(record.seconds.is_finite() && record.seconds >= 0.0) {
+    let timed = record.seconds.is_finite() && record.seconds >= 0.0;
+    if !timed || !is_name(&record.kind) {
         return Err("has a wrong kind or time");
     }
-    if std::str::from_utf8(&record.report).is_err() {
-        return Err("has a wrong report");
+    // Its sentences are shown to people: nothing in it may speak to a terminal.
+    let report = std::str::from_utf8(&record.report).map_err(|_| "has a wrong report")?;
+    if speaks_to_terminals(report) {
+        return Err("has a report with control characters");
     }
     Ok(())
+}
+
+/// Whether a JSON text holds control characters, plain or escaped, but for white space.
+fn speaks_to_terminals(json: &str) -> bool {
+    let mut rest = json.chars();
+    while let Some(c) = rest.next() {
+        if c.is_control() && !c.is_ascii_whitespace() {
+            return true;
+        }
+        if c == '\\' {
+            let digits = rest.as_str().get(1..5).and_then(|digits| u32::from_str_radix(digits, 16).ok());
+            match rest.next() {
+                Some('b' | 'f') => return true,
+                Some('u') if digits.and_then(char::from_u32).is_some_and(char::is_control) => return true,
+                _ => {}
+            }
+        }
+    }
+    false
 }
 
 fn is_name(name: &str) -> bool {

@@ -1,4 +1,7 @@
 //! A folder as remote: a share that all machines mount.
+//!
+//! Its files lie as in a cache, so that `kiln cache stats | gc | verify --cache FOLDER` look after it; readers do not date what they
+//! take, so gc goes by when things were sent.
 
 use std::fs::{self, File};
 use std::hash::{BuildHasher, RandomState};
@@ -9,6 +12,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::place::{Fault, Place, Until};
 use crate::disk;
+use crate::store::LAYOUT;
 
 const CHUNK: usize = 1 << 18;
 
@@ -47,15 +51,16 @@ impl Place for Folder {
         push: &mut dyn FnMut(&[u8]) -> Result<(), Fault>,
     ) -> Result<bool, Fault> {
         let path = self.root.join(key);
-        let mut file = match File::open(&path) {
-            Ok(file) => file,
+        // Looked at before it is opened: opening a pipe would wait for whoever writes to it.
+        let metadata = match fs::metadata(&path) {
+            Ok(metadata) => metadata,
             Err(error) if disk::is_absent(&error) => return self.there().map(|()| false),
             Err(error) => return Err(fault(&error)),
         };
-        let metadata = file.metadata().map_err(|error| fault(&error))?;
         if !metadata.is_file() || metadata.len() > limit {
             return Err(Fault::Damaged(format!("{key} has {} bytes; at most {limit} are expected", metadata.len())));
         }
+        let mut file = File::open(&path).map_err(|error| fault(&error))?;
         let mut chunk = vec![0; CHUNK.min(limit as usize + 1)];
         loop {
             until.left()?;
@@ -76,7 +81,7 @@ impl Place for Folder {
         self.there()?;
         let path = self.root.join(key);
         let count = self.counter.fetch_add(1, Ordering::Relaxed);
-        let temporary = self.root.join("tmp").join(format!("{:016x}-{count}", self.nonce));
+        let temporary = self.root.join(LAYOUT).join("tmp").join(format!("{:016x}-{count}", self.nonce));
         let put = || {
             for folder in [temporary.parent(), path.parent()].into_iter().flatten() {
                 disk::create_folder(folder).map_err(|error| fault(&error.source))?;

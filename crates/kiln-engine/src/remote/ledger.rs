@@ -20,6 +20,12 @@ pub struct RemoteReport {
     pub misses: usize,
     /// Bytes that came, headers of the store's files included.
     pub bytes_received: u64,
+    /// Records that were taken and recomputed, where that was asked for.
+    #[serde(default)]
+    pub checked: usize,
+    /// Of those, records that claimed other bytes than running the stage gives.
+    #[serde(default)]
+    pub refuted: usize,
     /// Records that were sent with all their blobs.
     pub sent: usize,
     /// Bytes that were sent.
@@ -28,6 +34,21 @@ pub struct RemoteReport {
     pub failures: usize,
     /// Whether it was left alone from some moment on.
     pub left_alone: bool,
+}
+
+impl RemoteReport {
+    /// Adds what it did for another build.
+    pub fn add(&mut self, other: &RemoteReport) {
+        self.hits += other.hits;
+        self.misses += other.misses;
+        self.bytes_received += other.bytes_received;
+        self.checked += other.checked;
+        self.refuted += other.refuted;
+        self.sent += other.sent;
+        self.bytes_sent += other.bytes_sent;
+        self.failures += other.failures;
+        self.left_alone |= other.left_alone;
+    }
 }
 
 #[derive(Default)]

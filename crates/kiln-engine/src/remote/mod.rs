@@ -10,15 +10,22 @@
 //!     open it as a claim: seal, shape, names, lengths, and a trusted signature if the user trusts keys only
 //!     for each blob it names that is not here and whole: get it into a temporary file, header and hash checked on the way
 //!     all there: keep the record as our own; anything else: a miss
-//! each request: a time limit by its length, few attempts; misses and failures that take long are counted
-//! three failures in a row, ten in all, or half a minute lost: the remote is left alone for this build, with one warning
+//! each request: 5 s, and longer only while bytes come at 1 MiB/s (all requests at once together); few attempts
+//! failures, and what answers take beyond a quarter of a second and that rate, count as lost time
+//! three failures in a row, ten in all, or 15 s lost: the remote is left alone for this build, with one warning
 //! writing (CI): what ran is queued; two threads send blobs, then the record; at the end they have a minute
 //! ```
 //!
 //! # Trust
 //! A blob proves itself by its hash. A record says which blobs an action gives: only running it again would prove that. So who
 //! may write to the remote is trusted with what is built from it: let only CI write, or let records be signed ([`SigningKey`])
-//! and name the keys you trust; `--verify` recomputes a sample (`Store::wants_check`).
+//! and name the keys you trust. [`Engine::check_claims`](crate::Engine::check_claims) recomputes a sample.
+//!
+//! # Bound
+//! What the other side does costs each thread of a build at most the 15 s that may be lost, the request then under way (5 s), a
+//! quarter of a second a request that is answered in time, and the transfer of what it sends, never slower than 1 MiB/s nor longer
+//! than 4 GiB; a build that writes waits a minute more. Only a network file system that hangs in the system itself, which nobody
+//! can interrupt, is not bounded.
 //!
 //! # Limits
 //! A record is taken only with all its blobs, so a hit downloads what the build may not need. Blobs are sent whole, in memory.
@@ -39,7 +46,8 @@ pub(crate) mod place;
 mod sign;
 
 use std::collections::{BTreeSet, VecDeque};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::hash::{BuildHasher, RandomState};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -47,14 +55,11 @@ use crate::hash::Fingerprint;
 use ledger::Ledger;
 pub use ledger::RemoteReport;
 pub use options::{RemoteError, RemoteMode, RemoteOptions};
-use place::{Fault, Place, Sink, Until};
+use place::{Fault, Pace, Place, Sink, Until};
 pub use sign::{PublicKey, SigningKey};
 
 /// A request without bytes may take this long before it counts as slow.
 const FAIR: Duration = Duration::from_millis(250);
-
-/// Bytes a second that count as slow beyond [`FAIR`]: a good office line.
-const FAIR_RATE: f64 = (4 << 20) as f64;
 
 /// Pause before the second attempt; four times as long before each further one.
 const PAUSE: Duration = Duration::from_millis(100);
@@ -78,6 +83,7 @@ struct Queue {
 /// A remote that is open; asked only while a build is at work.
 pub struct Remote {
     options: RemoteOptions,
+    check_seed: u64,
     place: Box<dyn Place>,
     reads: Mutex<Ledger>,
     writes: Mutex<Ledger>,
@@ -89,15 +95,21 @@ pub struct Remote {
     changed: Condvar,
     /// Keys of which the bytes did not verify: to be written over.
     damaged: Mutex<BTreeSet<String>>,
+    /// Requests under way.
+    at_once: AtomicUsize,
+}
+
+/// A request is over, whichever way.
+struct Done<'a>(&'a AtomicUsize);
+
+impl Drop for Done<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
+    }
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// A time in which `length` bytes may come without anybody calling it slow.
-fn fair(length: u64) -> Duration {
-    FAIR + Duration::from_secs_f64(length as f64 / FAIR_RATE)
 }
 
 impl Remote {
@@ -112,6 +124,7 @@ impl Remote {
 
     pub(crate) fn at(options: RemoteOptions, place: Box<dyn Place>) -> Remote {
         Remote {
+            check_seed: options.check_seed.unwrap_or_else(|| RandomState::new().hash_one(&options.url)),
             options,
             place,
             reads: Mutex::default(),
@@ -121,6 +134,7 @@ impl Remote {
             queue: Mutex::default(),
             changed: Condvar::new(),
             damaged: Mutex::default(),
+            at_once: AtomicUsize::new(0),
         }
     }
 
@@ -175,6 +189,11 @@ impl Remote {
         lock(&self.reads).report.left_alone || lock(&self.writes).report.left_alone
     }
 
+    /// What the sample of [`Engine::check_claims`](crate::Engine::check_claims) is drawn by.
+    pub(crate) fn check_seed(&self) -> u64 {
+        self.check_seed
+    }
+
     /// Counts a record that was taken.
     pub(crate) fn count_hit(&self) {
         lock(&self.reads).report.hits += 1;
@@ -182,15 +201,16 @@ impl Remote {
 
     // --- reading ---
 
-    /// Fetches `key`, of at most `limit` bytes and probably `expected`, into `sink`; whether it is there, whole and verified.
-    pub(crate) fn fetch(&self, key: &str, limit: u64, expected: u64, sink: &mut dyn Sink) -> Result<bool, Fault> {
+    /// Fetches `key`, of at most `limit` bytes, into `sink`; whether it is there, whole and verified.
+    pub(crate) fn fetch(&self, key: &str, limit: u64, sink: &mut dyn Sink) -> Result<bool, Fault> {
         let Some(cancel) = lock(&self.cancel).clone() else { return Ok(false) };
         let mut received = 0;
-        let result = self.request(&self.reads, &cancel, expected, |until| {
+        let result = self.request(&self.reads, &cancel, 0, |until| {
             received = 0;
             sink.restart()?;
             let mut push = |bytes: &[u8]| {
                 received += bytes.len() as u64;
+                until.pace.moved.fetch_add(bytes.len() as u64, Ordering::Relaxed);
                 if received > limit {
                     return Err(Fault::Damaged(format!("{key} is longer than {limit} bytes")));
                 }
@@ -216,6 +236,11 @@ impl Remote {
     pub(crate) fn blame(&self, key: &str, why: &str) {
         lock(&self.damaged).insert(key.to_owned());
         lock(&self.reads).failed(format!("{key}: {why}"), Duration::ZERO, &self.options);
+    }
+
+    /// Notes that what lies under `key` is to be written over, if we write at all.
+    pub(crate) fn disown(&self, key: String) {
+        lock(&self.damaged).insert(key);
     }
 
     // --- writing ---
@@ -319,7 +344,7 @@ impl Remote {
         &self,
         ledger: &Mutex<Ledger>,
         cancel: &AtomicBool,
-        length: u64,
+        sends: u64,
         mut attempt: impl FnMut(&Until<'_>) -> Result<T, Fault>,
     ) -> Result<T, Fault> {
         if self.is_left_alone() {
@@ -327,8 +352,11 @@ impl Remote {
         }
         let Some(patience) = lock(ledger).patience(&self.options) else { return Err(Fault::LeftAlone) };
         let begun = Instant::now();
-        let transfer = Duration::from_secs_f64(length as f64 / self.options.min_rate.max(1.0));
-        let until = Until { deadline: begun + patience + transfer, cancel };
+        self.at_once.fetch_add(1, Ordering::Relaxed);
+        let _done = Done(&self.at_once);
+        // How far an upload is cannot be seen: it is excused in advance.
+        let pace = Pace { moved: AtomicU64::new(sends), at_once: &self.at_once, rate: self.options.min_rate };
+        let until = Until { begun, patience, pace, cancel };
         let mut pause = PAUSE;
         let mut tried = 0;
         let result = loop {
@@ -341,7 +369,7 @@ impl Remote {
         let taken = begun.elapsed();
         let mut ledger = lock(ledger);
         match &result {
-            Ok(_) => ledger.succeeded(taken.saturating_sub(fair(length)), &self.options),
+            Ok(_) => ledger.succeeded(taken.saturating_sub(FAIR.saturating_add(until.pace.excused())), &self.options),
             Err(Fault::Transient(why) | Fault::Damaged(why)) => ledger.failed(why.clone(), taken, &self.options),
             Err(Fault::Refused(why)) => ledger.refused(why.clone()),
             Err(Fault::Local(_) | Fault::Cancelled | Fault::LeftAlone) => {}

@@ -66,8 +66,21 @@ impl Objects {
     }
 }
 
+/// What is not found: a key, which is a miss, or the whole bucket.
+fn absent(error: &Error) -> Result<bool, Fault> {
+    let mut cause: Option<&dyn std::error::Error> = Some(error);
+    while let Some(now) = cause {
+        if now.to_string().contains("NoSuchBucket") {
+            return Err(Fault::Refused("there is no such bucket".into()));
+        }
+        cause = now.source();
+    }
+    Ok(false)
+}
+
 fn fault(error: Error) -> Fault {
     match error {
+        Error::NotFound { .. } => absent(&error).err().unwrap_or_else(|| Fault::Refused("not found (404)".into())),
         Error::PermissionDenied { .. } => Fault::Refused("the server refuses (403)".into()),
         Error::Unauthenticated { .. } => Fault::Refused("the server wants other credentials (401)".into()),
         // The library's message repeats addresses and may hold a body's start: the innermost cause says enough.
@@ -97,7 +110,7 @@ impl Place for Objects {
         let path = self.path(key);
         self.wait(until, async {
             let found = match self.store.get(&path).await {
-                Err(Error::NotFound { .. }) => return Ok(false),
+                Err(error @ Error::NotFound { .. }) => return absent(&error),
                 other => other.map_err(fault)?,
             };
             let length = found.meta.size;
@@ -120,7 +133,7 @@ impl Place for Objects {
         self.wait(until, async {
             match self.store.head(&path).await {
                 Ok(_) => Ok(true),
-                Err(Error::NotFound { .. }) => Ok(false),
+                Err(error @ Error::NotFound { .. }) => absent(&error),
                 Err(error) => Err(fault(error)),
             }
         })

@@ -26,7 +26,7 @@ pub struct RemoteOptions {
     pub mode: RemoteMode,
     /// How long a request may take beside the transfer of its bytes.
     pub request_limit: Duration,
-    /// Bytes a second below which a transfer is given up; 1 MiB.
+    /// Bytes a second that all transfers at once are expected to carry: below that, time counts as lost; 1 MiB.
     pub min_rate: f64,
     /// How often a request is tried.
     pub attempts: u32,
@@ -40,8 +40,10 @@ pub struct RemoteOptions {
     pub trusted_keys: Vec<PublicKey>,
     /// Signs the records that are sent.
     pub sign_with: Option<SigningKey>,
-    /// The share of hits that a verifying build recomputes, 0 to 1.
+    /// The share of hits that [`Engine::check_claims`](crate::Engine::check_claims) recomputes, 0 to 1.
     pub check_share: f64,
+    /// Which share: a number that whoever wrote the records must not know. `None` draws one for each process.
+    pub check_seed: Option<u64>,
     /// Settings of the service by object_store's names, such as `endpoint` and `region`; credentials come from the environment
     /// (`AWS_*`, `GOOGLE_*`, `AZURE_*`) or from here.
     pub settings: Vec<(String, String)>,
@@ -78,15 +80,16 @@ impl RemoteOptions {
         RemoteOptions {
             url: url.into(),
             mode: RemoteMode::Read,
-            request_limit: Duration::from_secs(10),
+            request_limit: Duration::from_secs(5),
             min_rate: (1 << 20) as f64,
             attempts: 3,
-            lost_limit: Duration::from_secs(30),
+            lost_limit: Duration::from_secs(15),
             upload_limit: Duration::from_secs(60),
-            longest_blob: 16 << 30,
+            longest_blob: 4 << 30,
             trusted_keys: Vec::new(),
             sign_with: None,
             check_share: 0.05,
+            check_seed: None,
             settings: Vec::new(),
         }
     }

@@ -1,7 +1,7 @@
 //! What a remote must be able to do.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::error::IoError;
@@ -32,10 +32,30 @@ impl From<IoError> for Fault {
     }
 }
 
-/// How long a request may go on.
+/// How long a request may go on: for a while, and for as long as bytes come at the least rate that is expected.
 pub(crate) struct Until<'a> {
-    pub(crate) deadline: Instant,
+    pub(crate) begun: Instant,
+    pub(crate) patience: Duration,
+    pub(crate) pace: Pace<'a>,
     pub(crate) cancel: &'a AtomicBool,
+}
+
+/// Bytes moved by a request, and what that excuses.
+pub(crate) struct Pace<'a> {
+    /// Bytes.
+    pub(crate) moved: AtomicU64,
+    /// Requests that share the line now.
+    pub(crate) at_once: &'a AtomicUsize,
+    /// Bytes a second that the line is expected to carry at least.
+    pub(crate) rate: f64,
+}
+
+impl Pace<'_> {
+    /// The time that the bytes moved so far may have taken.
+    pub(crate) fn excused(&self) -> Duration {
+        let share = self.rate.max(1.0) / self.at_once.load(Ordering::Relaxed).max(1) as f64;
+        Duration::try_from_secs_f64(self.moved.load(Ordering::Relaxed) as f64 / share).unwrap_or(Duration::MAX)
+    }
 }
 
 impl Until<'_> {
@@ -44,7 +64,7 @@ impl Until<'_> {
         if self.cancel.load(Ordering::Relaxed) {
             return Err(Fault::Cancelled);
         }
-        let left = self.deadline.saturating_duration_since(Instant::now());
+        let left = self.patience.saturating_add(self.pace.excused()).saturating_sub(self.begun.elapsed());
         if left.is_zero() { Err(Fault::Transient("no answer in time".into())) } else { Ok(left) }
     }
 

@@ -9,6 +9,7 @@ use super::Store;
 use crate::disk;
 use crate::error::IoError;
 use crate::hash::ContentHash;
+use crate::report::OutputRecord;
 
 const BLOB_MAGIC: &[u8; 8] = b"kilnblob";
 /// Blob type: an action's output.
@@ -55,11 +56,16 @@ impl Store {
         named
     }
 
-    /// The bytes whose digest is `hash`, or `None` for a miss; what is not here is asked of the remote.
+    /// The bytes whose digest is `hash`, if they are here.
     pub(crate) fn blob(&self, hash: &ContentHash) -> Option<Arc<[u8]>> {
-        self.local_blob(hash).or_else(|| {
-            self.claimed_blob(hash, None).ok()?;
-            self.local_blob(hash)
+        self.local_blob(hash)
+    }
+
+    /// The bytes of an output, or `None` for a miss; what is not here is asked of the remote.
+    pub(crate) fn blob_of(&self, output: &OutputRecord) -> Option<Arc<[u8]>> {
+        self.local_blob(&output.hash).or_else(|| {
+            self.claimed_blob(&output.hash, output.length).ok()?;
+            self.local_blob(&output.hash)
         })
     }
 

@@ -3,7 +3,8 @@
 //! ```text
 //! now, oldest lease alive := by the file server's clock
 //! for each file of records, lists, blobs, quarantine:  used := its time, or that of a build state that names it, the later
-//! spare what is pinned, what was used since the oldest lease began, and while any lease is alive what a build state names
+//! spare what is pinned, what was used since the oldest lease began, what a record that was so used names, and while any lease is
+//!     alive what a build state names
 //! of the rest, longest unused first (quarantine before all):  remove what is older than `max_age`;
 //!     then go on until the whole is at most `max_bytes`
 //! just before a file is removed look again: one that was used meanwhile stays
@@ -18,6 +19,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
+use super::survey::peek_record;
 use super::{Cache, Store};
 use crate::disk;
 use crate::error::IoError;
@@ -89,10 +91,9 @@ impl Cache {
     pub fn gc(&self, options: &GcOptions) -> Result<GcReport, IoError> {
         let store = &self.store;
         store.prepare()?;
-        let (_, lock) = store.lock_file("gc")?;
-        if lock.try_lock().is_err() {
+        let Some(_lock) = store.try_lock_gc()? else {
             return Ok(GcReport { busy: true, ..GcReport::default() });
-        }
+        };
         let now = store.now()?;
         let mut report = GcReport::default();
         let (oldest, _) = store.oldest_lease(now);
@@ -173,11 +174,18 @@ impl Store {
 
     fn entries(&self, oldest: Option<i64>, named: &Named) -> Vec<Entry> {
         let mut entries = Vec::new();
+        // Outputs of records that a build at work found: it may read them next.
+        let mut wanted = BTreeSet::new();
         for folder in ["actions", "lists", "blobs", "quarantine"] {
             for (path, bytes, time) in files_in(&self.root.join(folder)) {
                 let by_state = named.get(&path);
                 let used = by_state.map_or(time, |(at, _)| time.max(*at));
-                let in_use = oldest.is_some_and(|start| by_state.is_some() || time >= start);
+                let young = oldest.is_some_and(|start| time >= start);
+                if young && folder == "actions" {
+                    let outputs = peek_record(&path).map(|record| record.outputs).unwrap_or_default();
+                    wanted.extend(outputs.iter().map(|output| self.blob_path(&output.hash)));
+                }
+                let in_use = young || wanted.contains(&path) || oldest.is_some() && by_state.is_some();
                 let spared = match by_state {
                     Some((_, true)) => Spared::Pinned,
                     _ if in_use && folder != "quarantine" => Spared::InUse,

@@ -59,6 +59,7 @@ impl Store {
             Err(error) => self.warn(format!("{error}; a garbage collection may cost this build time")),
         }
         lock(&self.claims).clear();
+        lock(&self.guesses).clear();
         let (over, changed) = (Mutex::new(false), Condvar::new());
         let result = std::thread::scope(|scope| {
             let _over = Over(&over, &changed);

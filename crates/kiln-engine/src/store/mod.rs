@@ -32,8 +32,8 @@ mod record;
 mod survey;
 mod through;
 
-use std::collections::BTreeSet;
-use std::fs::{self, File, Metadata, OpenOptions};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
 use std::hash::{BuildHasher, RandomState};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -68,6 +68,8 @@ pub(crate) struct Store {
     remote: Option<Remote>,
     /// Records that came from the remote during the last build.
     claims: Mutex<BTreeSet<Fingerprint>>,
+    /// Lists that came from the remote, with what they were asked for.
+    guesses: Mutex<BTreeMap<Vec<String>, Fingerprint>>,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -88,6 +90,7 @@ impl Store {
             lease: Mutex::default(),
             remote: None,
             claims: Mutex::default(),
+            guesses: Mutex::default(),
         }
     }
 
@@ -140,8 +143,14 @@ impl Store {
     /// The lock of a state file, if nobody has it.
     pub(crate) fn try_lock(&self, state: &Path) -> Result<Option<File>, IoError> {
         let name = state.file_name().unwrap_or_default().to_string_lossy();
-        let (_, file) = self.lock_file(&format!("state {name}"))?;
-        Ok(file.try_lock().is_ok().then_some(file))
+        let (path, file) = self.lock_file(&format!("state {name}"))?;
+        taken(&path, file)
+    }
+
+    /// The lock of garbage collection, if nobody has it.
+    fn try_lock_gc(&self) -> Result<Option<File>, IoError> {
+        let (path, file) = self.lock_file("gc")?;
+        taken(&path, file)
     }
 
     /// What the file system of the cache takes for now, nanoseconds since 1970: the time of a file just written.
@@ -156,15 +165,19 @@ impl Store {
         Ok(now)
     }
 
-    /// Removes temporary files and leases that a killed process left a day ago.
+    /// Removes temporary files and leases that a killed process left a day ago, and scratch caches that it left a week ago.
     fn sweep(&self, now: i64) {
         for folder in ["tmp", "leases"] {
             let Ok(entries) = fs::read_dir(self.root.join(folder)) else { continue };
             for entry in entries.flatten() {
-                let old = entry.metadata().is_ok_and(|metadata| disk::mtime(&metadata) < now - LITTER_AGE);
-                if old {
-                    let _ = fs::remove_file(entry.path());
-                }
+                let Ok(metadata) = entry.metadata() else { continue };
+                let age = now.saturating_sub(disk::mtime(&metadata));
+                // What cannot be removed is litter, not damage.
+                let _ = match metadata.is_dir() {
+                    true if age > 7 * LITTER_AGE => fs::remove_dir_all(entry.path()),
+                    false if age > LITTER_AGE => fs::remove_file(entry.path()),
+                    _ => Ok(()),
+                };
             }
         }
     }
@@ -220,6 +233,15 @@ impl Store {
 
     fn sharded(&self, folder: &str, hex: &str) -> PathBuf {
         self.root.join(folder).join(hex.split_at(2).0).join(hex)
+    }
+}
+
+/// The file if its lock could be had; `None` if another has it.
+fn taken(path: &Path, file: File) -> Result<Option<File>, IoError> {
+    match file.try_lock() {
+        Ok(()) => Ok(Some(file)),
+        Err(TryLockError::WouldBlock) => Ok(None),
+        Err(TryLockError::Error(error)) => Err(IoError::new("lock", path)(error)),
     }
 }
 

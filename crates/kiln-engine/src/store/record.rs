@@ -9,6 +9,7 @@ use super::Store;
 use crate::disk;
 use crate::error::IoError;
 use crate::hash::{ContentHash, Fingerprint};
+use crate::remote::claim::unsigned;
 use crate::report::Record;
 
 /// Longest record or list, bytes: they hold names, hashes and a stage's report.
@@ -20,6 +21,8 @@ const LIST_LIMIT: usize = 64;
 const RECORD_MAGIC: &[u8; 8] = b"kilnrec1";
 /// Magic and seal.
 const SEALED: usize = 8 + 32;
+/// Longest file of a record or list, bytes.
+pub(super) const LONGEST_RECORD: u64 = (RECORD_LIMIT + SEALED) as u64;
 
 impl Store {
     pub(super) fn record_path(&self, fingerprint: &Fingerprint) -> PathBuf {
@@ -70,9 +73,7 @@ impl Store {
     /// Local lists, then, if those are used up, the remote's.
     pub(crate) fn lists(&self, declared: &Fingerprint) -> impl Iterator<Item = Vec<String>> {
         let declared = *declared;
-        self.local_lists(&declared)
-            .into_iter()
-            .chain(std::iter::once_with(move || self.claimed_lists(&declared)).flatten())
+        self.local_lists(&declared).into_iter().chain(self.claimed_lists(declared))
     }
 
     /// Keeps a list of files.
@@ -110,9 +111,9 @@ impl Store {
 
     pub(super) fn read_sealed<T: DeserializeOwned>(&self, path: &Path, what: &str) -> Option<T> {
         let metadata = fs::metadata(path).ok()?;
-        let short = metadata.len() <= (RECORD_LIMIT + SEALED) as u64;
+        let short = metadata.is_file() && metadata.len() <= LONGEST_RECORD;
         let bytes = if short { fs::read(path).ok()? } else { Vec::new() };
-        let value = open_sealed(&bytes).and_then(decode);
+        let value = open_sealed(unsigned(&bytes)).and_then(decode);
         match value {
             Some(_) => self.used(path, &metadata),
             None => self.quarantine(path, what),

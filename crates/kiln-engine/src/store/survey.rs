@@ -7,10 +7,11 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::gc::files_in;
-use super::record::{decode, open_sealed};
+use super::record::{LONGEST_RECORD, decode, open_sealed};
 use super::{Cache, Store};
 use crate::error::IoError;
 use crate::hash::{ContentHash, Fingerprint};
+use crate::remote::claim::unsigned;
 use crate::report::Record;
 
 /// Files and their bytes.
@@ -168,6 +169,8 @@ fn name_of<T: std::str::FromStr>(path: &Path) -> Option<T> {
 }
 
 /// A record as it lies there; one that is damaged is left where it is.
-fn peek_record(path: &Path) -> Option<Record> {
-    open_sealed(&fs::read(path).ok()?).and_then(decode)
+pub(super) fn peek_record(path: &Path) -> Option<Record> {
+    let short = fs::metadata(path).is_ok_and(|metadata| metadata.len() <= LONGEST_RECORD);
+    let bytes = if short { fs::read(path).ok()? } else { return None };
+    open_sealed(unsigned(&bytes)).and_then(decode)
 }

@@ -31,8 +31,8 @@ fn slot_key(declared: &Fingerprint, slot: usize) -> String {
 struct BlobSink<'a> {
     store: &'a Store,
     hash: ContentHash,
-    /// What the record says; without it, what the header says.
-    length: Option<u64>,
+    /// What the record says.
+    length: u64,
     header: Vec<u8>,
     came: u64,
     hasher: blake3::Hasher,
@@ -40,14 +40,12 @@ struct BlobSink<'a> {
 }
 
 impl<'a> BlobSink<'a> {
-    fn new(store: &'a Store, hash: ContentHash, length: Option<u64>) -> BlobSink<'a> {
+    fn new(store: &'a Store, hash: ContentHash, length: u64) -> BlobSink<'a> {
         BlobSink { store, hash, length, header: Vec::new(), came: 0, hasher: blake3::Hasher::new(), file: None }
     }
 
     fn check_header(&mut self) -> Result<(), Fault> {
-        let told = self.header[16..24].try_into().map_or(0, u64::from_le_bytes);
-        let length = *self.length.get_or_insert(told);
-        if self.header[..] != blob_header(&self.hash, length)[..] {
+        if self.header[..] != blob_header(&self.hash, self.length)[..] {
             return Err(Fault::Damaged(format!("blob {} has a wrong header", self.hash.short())));
         }
         Ok(())
@@ -97,7 +95,7 @@ impl Sink for BlobSink<'_> {
     }
 
     fn finish(&mut self) -> Result<(), Fault> {
-        let whole = self.header.len() == BLOB_HEADER && self.length == Some(self.came);
+        let whole = self.header.len() == BLOB_HEADER && self.length == self.came;
         if !whole || *self.hasher.finalize().as_bytes() != self.hash.0 {
             return Err(Fault::Damaged(format!("blob {} does not verify", self.hash.short())));
         }
@@ -141,7 +139,7 @@ impl Store {
         let options = remote.options();
         let key = key("actions", &fingerprint.hex());
         let mut bytes = Vec::new();
-        if !self.came(remote.fetch(&key, CLAIM_LIMIT, 0, &mut bytes)) {
+        if !self.came(remote.fetch(&key, CLAIM_LIMIT, &mut bytes)) {
             return None;
         }
         let opened = claim::open_record(&bytes, fingerprint, &options.trusted_keys, options.longest_blob);
@@ -161,7 +159,7 @@ impl Store {
                     return None;
                 }
                 None => {
-                    if !self.came(self.claimed_blob(&hash, Some(length))) {
+                    if !self.came(self.claimed_blob(&hash, length)) {
                         return None;
                     }
                 }
@@ -171,6 +169,7 @@ impl Store {
             self.came(Err(Fault::Local(error)));
             return None;
         }
+        self.keep_guess(&record);
         remote.count_hit();
         // Another process may have been faster, with a record of its own.
         let record = self.local_record(fingerprint)?;
@@ -179,62 +178,73 @@ impl Store {
     }
 
     /// Fetches a blob into the store; whether it came.
-    pub(super) fn claimed_blob(&self, hash: &ContentHash, length: Option<u64>) -> Result<bool, Fault> {
+    pub(super) fn claimed_blob(&self, hash: &ContentHash, length: u64) -> Result<bool, Fault> {
         let Some(remote) = &self.remote else { return Ok(false) };
-        let limit = length.unwrap_or(remote.options().longest_blob).saturating_add(BLOB_HEADER as u64);
+        let limit = length.saturating_add(BLOB_HEADER as u64);
         let mut sink = BlobSink::new(self, *hash, length);
-        remote.fetch(&key("blobs", &hash.hex()), limit, length.unwrap_or(0), &mut sink)
+        remote.fetch(&key("blobs", &hash.hex()), limit, &mut sink)
     }
 
-    /// Lists of the remote that are not here; kept as our own.
-    pub(super) fn claimed_lists(&self, declared: &Fingerprint) -> Vec<Vec<String>> {
-        let Some(remote) = &self.remote else { return Vec::new() };
-        let mut lists = Vec::new();
-        for slot in 0..SLOTS {
-            let key = slot_key(declared, slot);
-            let mut bytes = Vec::new();
-            if !self.came(remote.fetch(&key, CLAIM_LIMIT, 0, &mut bytes)) {
-                break;
-            }
-            match claim::open_list(&bytes) {
-                Ok(list) => {
-                    if let Err(error) = self.put_local_list(declared, &list, false) {
-                        self.came(Err(Fault::Local(error)));
-                    }
-                    lists.push(list);
-                }
-                Err(why) => remote.blame(&key, why),
-            }
+    /// Lists of the remote, each fetched when it is asked for. They are guesses: one is kept when a record is found by it.
+    pub(super) fn claimed_lists(&self, declared: Fingerprint) -> impl Iterator<Item = Vec<String>> {
+        let slots = if self.remote.is_some() { 0..SLOTS } else { 0..0 };
+        // The first that is absent is the last; one that is damaged is passed by.
+        slots.map_while(move |slot| self.claimed_list(&declared, slot)).flatten()
+    }
+
+    /// `None` if there is no such slot, `Some(None)` if what lies there is no list.
+    fn claimed_list(&self, declared: &Fingerprint, slot: usize) -> Option<Option<Vec<String>>> {
+        let remote = self.remote.as_ref()?;
+        let key = slot_key(declared, slot);
+        let mut bytes = Vec::new();
+        if !self.came(remote.fetch(&key, CLAIM_LIMIT, &mut bytes)) {
+            return None;
         }
-        lists
+        let opened = claim::open_list(&bytes).map_err(|why| remote.blame(&key, why)).ok();
+        if let Some(list) = &opened {
+            lock(&self.guesses).insert(list.clone(), *declared);
+        }
+        Some(opened)
+    }
+
+    /// Keeps the list by which a record was found, if it came from the remote too.
+    fn keep_guess(&self, record: &Record) {
+        let list: Vec<String> = record.discovered.iter().map(|(path, _)| path.clone()).collect();
+        let declared = lock(&self.guesses).remove(&list);
+        if let Some(declared) = declared
+            && let Err(error) = self.put_local_list(&declared, &list, false)
+        {
+            self.came(Err(Fault::Local(error)));
+        }
     }
 
     // --- checking ---
-    // For `build --verify`: run what `wants_check`, compare the records' outputs, `refute` where they differ.
+    // `Engine::check_claims` runs what `wants_check`, compares the records' outputs, and `refute`s where they differ.
 
-    /// Whether this record came from the remote during this build and belongs to the sample that a verifying build recomputes.
-    /// The sample goes by the fingerprint, so that it is the same on every run.
-    #[allow(dead_code, reason = "called by builds that verify")]
+    /// Whether this record came from the remote during the last build and belongs to the sample that is recomputed.
+    ///
+    /// The sample goes by a hash of the fingerprint with the seed: by the fingerprint alone a liar would know which of its records
+    /// nobody will ever check. Each process draws its own, so that many runs and many machines together check everything.
     pub(crate) fn wants_check(&self, fingerprint: &Fingerprint) -> bool {
         let Some(remote) = &self.remote else { return false };
-        let number = u32::from_le_bytes([fingerprint.0[0], fingerprint.0[1], fingerprint.0[2], fingerprint.0[3]]);
+        let salted = ContentHash::of(&[&remote.check_seed().to_le_bytes()[..], &fingerprint.0].concat());
+        let number = u32::from_le_bytes([salted.0[0], salted.0[1], salted.0[2], salted.0[3]]);
         let chosen = f64::from(number) < remote.options().check_share * (f64::from(u32::MAX) + 1.0);
-        chosen && lock(&self.claims).contains(fingerprint)
+        chosen && self.is_claim(fingerprint)
     }
 
-    /// Whether this record came from the remote during this build.
-    #[allow(dead_code, reason = "called by builds that verify")]
+    /// Whether this record came from the remote during the last build.
     pub(crate) fn is_claim(&self, fingerprint: &Fingerprint) -> bool {
         lock(&self.claims).contains(fingerprint)
     }
 
     /// Takes note that running an action gave `made` where the remote claimed something else: `made` is the truth from now on,
     /// here, and in the remote if we may write.
-    #[allow(dead_code, reason = "called by builds that verify")]
+    /// To be called while a build is at work, as sending is.
     pub(crate) fn refute(&self, made: &Record, sync: bool) -> Result<(), crate::error::IoError> {
         lock(&self.claims).remove(&made.fingerprint);
         if let Some(remote) = &self.remote {
-            remote.blame(&key("actions", &made.fingerprint.hex()), "claims other bytes than running the stage gives");
+            remote.disown(key("actions", &made.fingerprint.hex()));
         }
         self.put_record(made, true, sync).map(|_| ())
     }

@@ -135,6 +135,26 @@ fn what_a_build_at_work_used_is_spared_and_a_dead_lease_spares_nothing() {
 }
 
 #[test]
+fn outputs_of_a_record_that_a_build_at_work_found_are_spared() {
+    let toy = Toy::new();
+    toy.build();
+    for folder in ["actions", "lists", "blobs"] {
+        age(&toy, folder, 10);
+    }
+    fs::remove_dir_all(toy.path(".kiln/v1/state")).unwrap();
+    let store = Store::new(toy.path(".kiln"));
+    store.prepare().unwrap();
+    store.during(&Arc::default(), || {
+        // Every stage is fresh; nobody has read an output yet.
+        for path in files_under(&toy.path(".kiln/v1/actions")) {
+            assert!(store.record(&path.file_name().unwrap().to_str().unwrap().parse().unwrap()).is_some());
+        }
+        let done = cache(&toy).gc(&GcOptions { max_bytes: Some(0), ..GcOptions::default() }).unwrap();
+        assert_eq!(done.removed_files, 1, "the list alone: {done:?}");
+    });
+}
+
+#[test]
 fn a_lease_spares_what_build_states_name() {
     let toy = Toy::new();
     toy.build();

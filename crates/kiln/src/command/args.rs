@@ -108,7 +108,8 @@ pub(crate) struct BuildArgs {
     /// Write what the outputs depend on as a GCC-style depfile, for Ninja, Make and CMake; written only if it differs
     #[arg(long, value_name = "FILE", conflicts_with = "dry_run")]
     pub(crate) depfile: Option<PathBuf>,
-    /// Build twice in scratch caches, on different numbers of threads, and fail if a stage gave other bytes for the same inputs
+    /// Build twice in scratch caches, on different numbers of threads, and fail if a stage gave other bytes for the same inputs. With
+    /// --remote: build, recompute a sample of what the remote gave (`check` of the configuration, 5 %), and fail if a record lied
     #[arg(long, conflicts_with_all = ["dry_run", "depfile", "debug_images"])]
     pub(crate) verify: bool,
     /// Build again whenever something changes that the build looked at; Ctrl-C ends it

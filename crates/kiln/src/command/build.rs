@@ -69,18 +69,21 @@ fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool
     let mut depfile = String::new();
     let mut watched = Watched::default();
     let mut all_known = true;
+    // A remote that is asked for by name is what is to be verified; one of the configuration is not.
+    let checks_remote = args.verify && args.remote.is_some() && remote.is_some();
     for pipeline in &args.pipelines {
         let mut build = args.plan.build(pipeline);
         build.jobs = args.jobs;
         build.keep_going = args.keep_going;
         build.dry_run = args.dry_run;
         build.remote = remote.cloned();
+        build.check_claims = checks_remote;
         build.debug_pictures = args.debug_images.is_some();
         build.brief = !args.json;
         build.dependencies = args.depfile.is_some() || args.watch;
         build.cancel = Arc::clone(cancel);
         let progress = progress::Progress::new(args.explain);
-        if args.verify {
+        if args.verify && !checks_remote {
             let result = build.verify(&progress);
             progress.finish();
             worst = worst.max(result.map_or_else(|error| failed(&error), |found| show_verified(pipeline, &found)));
@@ -99,6 +102,9 @@ fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool
                 let still = last.is_some_and(|last| last < Exit::Failed);
                 if !(still && outcome.summary.fresh) {
                     show(&outcome.summary, args.dry_run);
+                    if checks_remote {
+                        show_checked(&outcome.summary);
+                    }
                 }
                 if let Some(dependencies) = &outcome.dependencies {
                     if args.depfile.is_some() {
@@ -134,7 +140,7 @@ fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool
     {
         worst = worst.max(exit);
     }
-    if args.json && !args.verify {
+    if args.json && (!args.verify || checks_remote) {
         let report = match reports.as_slice() {
             [one] => serde_json::to_string_pretty(one),
             all => serde_json::to_string_pretty(all),
@@ -165,6 +171,16 @@ fn show_verified(pipeline: &Path, found: &Verification) -> Exit {
     let (compared, guilty) = (found.compared, found.inconsistent.len());
     eprintln!("{}: {compared} stages ran twice, {guilty} of them gave other bytes", pipeline.display());
     if sound { Exit::Done } else { Exit::Failed }
+}
+
+/// Says how much of what the remote gave was recomputed.
+fn show_checked(summary: &Summary) {
+    let remote = summary.remote.clone().unwrap_or_default();
+    let (hits, checked, refuted) = (remote.hits, remote.checked, remote.refuted);
+    eprintln!(
+        "{}: {checked} of {hits} records of the remote were recomputed, {refuted} of them lied",
+        summary.pipeline
+    );
 }
 
 /// Writes debug pictures as PNG and says what each shows.

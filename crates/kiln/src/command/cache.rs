@@ -31,7 +31,8 @@ fn with_cache(folder: Option<&Path>, work: impl FnOnce(&Cache) -> Exit) -> Exit 
     let folder = folder.unwrap_or(Path::new(".kiln"));
     let cache = Cache::open(folder);
     if !cache.exists() {
-        let message = format!("there is no cache at {}; name one with --cache", folder.display());
+        let message =
+            format!("there is no cache at {}; it lies beside the pipeline: name it with --cache", folder.display());
         return complain(Exit::Failed, &message);
     }
     work(&cache)
@@ -51,19 +52,16 @@ fn bytes(count: u64) -> String {
 }
 
 fn stats_text(stats: &CacheStats) -> String {
-    let mut text = String::new();
-    for (name, count) in [
-        ("records", stats.records),
-        ("lists", stats.lists),
-        ("blobs", stats.blobs),
-        ("build states", stats.states),
-        ("quarantine", stats.quarantine),
-        ("being written", stats.temporary),
-    ] {
+    let mut text = format!("{:<14}{:>8}  {:>10}\n", "", "files", "bytes");
+    let parts = [stats.records, stats.lists, stats.blobs, stats.states, stats.quarantine, stats.temporary];
+    let names = ["records", "file lists", "blobs", "build states", "quarantine", "being written"];
+    for (name, count) in names.iter().zip(parts) {
         text.push_str(&format!("{name:<14}{:>8}  {:>10}\n", count.files, bytes(count.bytes)));
     }
-    text.push_str(&format!("{:<14}{:>8}  {:>10}\n", "together", "", bytes(stats.bytes)));
-    text.push_str(&format!("{:<14}{:>8}\n", "builds at work", stats.leases));
+    let files: usize = parts.iter().map(|part| part.files).sum();
+    text.push_str(&format!("{:<14}{files:>8}  {:>10}\n", "together", bytes(stats.bytes)));
+    let builds = if stats.leases == 1 { "build is" } else { "builds are" };
+    text.push_str(&format!("{} {builds} at work on it\n", stats.leases));
     if !stats.kinds.is_empty() {
         text.push_str("\nkind             runs     outputs      took\n");
     }
@@ -85,17 +83,22 @@ fn verified(report: &VerifyReport, as_json: bool) -> Exit {
         eprintln!("warning: {damaged}");
     }
     let mut text = format!(
-        "{} records, {} lists and {} blobs ({}) are whole; {} files were damaged and are in quarantine\n",
+        "whole: {} records, {} file lists, {} blobs ({})\n",
         report.records,
         report.lists,
         report.blobs,
-        bytes(report.bytes),
-        report.damaged.len()
+        bytes(report.bytes)
     );
+    text.push_str(&match report.damaged.len() {
+        0 => "nothing is damaged\n".to_owned(),
+        count => {
+            format!("damaged: {count}, moved to the cache's quarantine; a build that needs them makes them again\n")
+        }
+    });
     if report.incomplete_records > 0 {
         let count = report.incomplete_records;
         text.push_str(&format!(
-            "{count} records have outputs that are gone: those stages run again when somebody reads them\n"
+            "{count} of the records have outputs that are gone: those stages run again when somebody reads them\n"
         ));
     }
     exit.max(data(&text))

@@ -259,7 +259,7 @@ fn a_claim_is_taken_only_as_it_was_made() {
 #[test]
 fn claims_that_make_no_sense_are_refused_though_their_seal_is_right() {
     type Spoil = fn(&mut Record);
-    let spoils: [(&str, Spoil); 12] = [
+    let spoils: [(&str, Spoil); 15] = [
         ("something else", |record| record.fingerprint = Fingerprint([8; 32])),
         ("output name", |record| record.outputs[1].name = "one".into()),
         ("output name", |record| record.outputs[1].name = String::new()),
@@ -272,6 +272,9 @@ fn claims_that_make_no_sense_are_refused_though_their_seal_is_right() {
         ("kind or time", |record| record.seconds = f64::NAN),
         ("kind or time", |record| record.kind = String::new()),
         ("report", |record| record.report = vec![0xff]),
+        ("control characters", |record| record.report = b"{\"warnings\":[\"\x1b[2J\"]}".to_vec()),
+        ("control characters", |record| record.report = br#"{"warnings":["\\\u001b[2J"]}"#.to_vec()),
+        ("control characters", |record| record.report = br#"{"warnings":["gone\b\b"]}"#.to_vec()),
     ];
     for (expected, spoil) in spoils {
         let mut record = claim();
@@ -297,6 +300,79 @@ fn a_list_that_leads_out_of_the_models_folder_is_not_followed() {
     fs::write(&path, list_object(&["../../../dev/zero".to_owned()])).unwrap();
     let (toy, _) = machine(share.options(RemoteMode::Read));
     assert_eq!(toy.ran(), ["import"], "its record was not found; what comes after it was");
+}
+
+#[test]
+fn a_list_that_names_what_is_no_file_is_passed_by() {
+    let share = Share::filled();
+    let honest = share.files("lists").remove(0);
+    let list = fs::read(&honest).unwrap();
+    // In a slot before the honest one: a folder, and what would be read for ever.
+    for outside in [false, true] {
+        for path in ["sub", "../../../../../../../../../../../../dev/zero"] {
+            fs::write(&honest, list_object(&[path.to_owned()])).unwrap();
+            fs::write(honest.with_file_name("1"), &list).unwrap();
+            let toy = Toy::new();
+            fs::create_dir(toy.path("models/sub")).unwrap();
+            let mut plan = toy.plan();
+            plan.actions[IMPORT].outside = outside;
+            let mut engine = toy.engine().with_remote(Remote::open(share.options(RemoteMode::Read)).unwrap());
+            let report = engine.build(&plan, &toy.options, &NoObserver).unwrap();
+            assert!(report.succeeded() && toy.ran().is_empty(), "{path}: {report:#?}");
+            let kept = files_under(&toy.path(".kiln/v1/lists"));
+            assert_eq!(kept.len(), 1, "{path}: only what a record was found by is kept");
+        }
+    }
+}
+
+#[test]
+fn claims_that_lie_are_found_by_running_the_stage_and_put_right() {
+    let share = Share::filled();
+    let mut lies = 0;
+    for path in share.files("actions") {
+        let name = path.file_name().unwrap().to_str().unwrap().parse().unwrap();
+        let mut record = open_record(&fs::read(&path).unwrap(), &name, &[], 1000).unwrap();
+        if ["shout", "pack"].contains(&record.kind.as_str()) {
+            (record.outputs[0].hash, record.outputs[0].length) = (ContentHash::of(b"apple"), 5);
+            fs::write(&path, record_object(&record, None)).unwrap();
+            lies += 1;
+        }
+    }
+    assert_eq!(lies, 2);
+    let toy = Toy::new();
+    let options = RemoteOptions { check_share: 1.0, ..share.options(RemoteMode::Write) };
+    let mut engine = toy.engine().with_remote(Remote::open(options).unwrap());
+    let mut found = Vec::new();
+    let mut claims = Vec::new();
+    loop {
+        let report = engine.build(&toy.plan(), &toy.options, &NoObserver).unwrap();
+        assert!(report.succeeded(), "{report:#?}");
+        let check = engine.check_claims(&toy.plan(), &report, &toy.options).unwrap();
+        assert!(check.failed.is_empty() && check.inconsistent.is_empty() && check.checked == check.claims, "{check:?}");
+        claims.push(check.claims);
+        if check.lies.is_empty() {
+            break;
+        }
+        found.extend(check.lies.into_iter().map(|lie| (lie.label, lie.other)));
+    }
+    // The container of the lie of `shout` had no record; the lie about `pack` came when `shout` was put right.
+    let apple = Some(ContentHash::of(b"apple"));
+    assert_eq!(found, [("pot#shout".to_owned(), apple), ("pot#pack".to_owned(), apple)]);
+    assert_eq!(toy.read("build/pot.out"), EXPECTED);
+    assert!(toy.engine().build(&toy.plan(), &toy.options, &NoObserver).unwrap().nothing_to_do());
+    assert!(fs::read_dir(toy.path(".kiln/v1/tmp")).unwrap().next().is_none());
+    assert!(machine(share.options(RemoteMode::Read)).0.ran().is_empty(), "the remote was put right");
+}
+
+#[test]
+#[cfg(unix)]
+fn a_pipe_on_the_share_is_not_waited_for() {
+    let share = Share::filled();
+    let blob = share.files("blobs").remove(0);
+    fs::remove_file(&blob).unwrap();
+    assert!(std::process::Command::new("mkfifo").arg(&blob).status().unwrap().success());
+    let (toy, (report, _)) = machine(share.options(RemoteMode::Read));
+    assert!(!toy.ran().is_empty() && report.warnings.len() == 1, "{report:#?}");
 }
 
 #[test]
@@ -351,7 +427,6 @@ fn a_lying_claim_is_found_by_recomputing_it_and_is_put_right() {
         assert!(!store.wants_check(&fingerprint));
         assert_eq!(store.record(&fingerprint), Some(honest.clone()));
     });
-    assert!(store.take_warnings()[0].contains("claims other bytes"));
     assert!(machine(share.options(RemoteMode::Read)).0.ran().is_empty(), "the remote was put right");
 }
 
@@ -369,7 +444,7 @@ fn the_share_that_is_recomputed_is_as_large_as_asked_and_always_the_same() {
     });
     let chosen = |check_share| {
         let toy = Toy::new();
-        let options = RemoteOptions { check_share, ..share.options(RemoteMode::Read) };
+        let options = RemoteOptions { check_share, check_seed: Some(7), ..share.options(RemoteMode::Read) };
         let store = Store::new(toy.path(".kiln")).with_remote(Remote::open(options).unwrap());
         store.prepare().unwrap();
         store.during(&Arc::default(), || {
@@ -489,6 +564,46 @@ fn a_remote_that_never_answers_costs_no_more_than_the_bound() {
     // 400 ms, then what is left of the 500.
     assert!(asked <= 3, "{asked}");
     assert!(report.warnings.len() == 1 && report.warnings[0].contains("no answer in time"), "{report:#?}");
+}
+
+/// Gives bytes for ever, slower than anybody needs.
+struct Dripping(u64);
+
+impl Place for Dripping {
+    fn get(
+        &self,
+        _: &str,
+        limit: u64,
+        until: &Until<'_>,
+        push: &mut dyn FnMut(&[u8]) -> Result<(), Fault>,
+    ) -> Result<bool, Fault> {
+        for _ in 0..limit {
+            until.left()?;
+            push(&[7])?;
+            std::thread::park_timeout(Duration::from_millis(self.0));
+        }
+        Ok(true)
+    }
+
+    fn has(&self, _: &str, _: &Until<'_>) -> Result<bool, Fault> {
+        Ok(false)
+    }
+
+    fn put(&self, _: &str, _: &Arc<[u8]>, _: bool, _: &Until<'_>) -> Result<bool, Fault> {
+        Ok(false)
+    }
+}
+
+#[test]
+fn a_transfer_that_drips_is_given_up_whatever_length_it_claims() {
+    // 16 MiB at one byte in 5 ms would take a day.
+    let toy = Toy::new();
+    let options = hasty(RemoteOptions::new("drip"));
+    let remote = Remote::at(options, Box::new(Dripping(5)));
+    let mut engine = toy.engine().with_remote(remote);
+    assert!(engine.build(&toy.plan(), &toy.options, &NoObserver).unwrap().succeeded());
+    let report = engine.remote_report().unwrap();
+    assert!(report.left_alone && report.bytes_received < 2000, "{report:?}");
 }
 
 #[test]

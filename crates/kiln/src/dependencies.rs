@@ -14,7 +14,7 @@ use std::path::Path;
 use kiln_engine::Dependencies;
 
 /// A path below `root` as a build system knows it: without `.`, and without `..` where a name stands before it.
-fn place(root: &Path, path: &str) -> String {
+pub(crate) fn place(root: &Path, path: &str) -> String {
     let full = root.join(path);
     // `--set asset.output=PATH` names places from the current folder: so does a build system.
     let current = std::env::current_dir().ok().filter(|_| root.is_relative());
@@ -34,7 +34,7 @@ fn place(root: &Path, path: &str) -> String {
 }
 
 /// The folder of a path below the root.
-fn folder_of(path: &str) -> &str {
+pub(crate) fn folder_of(path: &str) -> &str {
     path.rsplit_once('/').map_or(".", |(folder, _)| folder)
 }
 
@@ -65,7 +65,7 @@ pub fn depfile(dependencies: &Dependencies, root: &Path) -> String {
     text
 }
 
-fn rule(text: &mut String, outputs: impl Iterator<Item = String>, inputs: impl Iterator<Item = String>) {
+pub(crate) fn rule(text: &mut String, outputs: impl Iterator<Item = String>, inputs: impl Iterator<Item = String>) {
     let writable = |path: &String| !path.contains(['\n', '\r']);
     let outputs: Vec<String> = outputs.filter(writable).map(|path| escaped(&path)).collect();
     if outputs.is_empty() {

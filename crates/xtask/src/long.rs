@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use crate::{continuous, corpus, fuzz};
+use crate::{continuous, corpus, farm, fuzz};
 
 const HELP: &str = "\
 cargo xtask long [PART]; all parts without one
@@ -12,13 +12,14 @@ cargo xtask long [PART]; all parts without one
   corpus [NAME...]                     real models end to end (needs KILN_CORPUS)
   continuous                           layouts: counts, bytes, distances, picking, loading (needs KILN_CORPUS, numpy)
   kills                                builds killed at seeded moments
+  farm                                 100 assets through Slurm on this machine, a node killed; Bazel (needs root, slurm-wlm, munge)
   fuzz [--minutes N] [--target NAME]   each fuzz target for its share of N minutes, 60 unless told (needs cargo-fuzz)";
 
 /// Runs a part, or all of them.
 pub(crate) fn run(root: &Path, args: &[String]) -> Result<(), String> {
     match args.split_first() {
         None => {
-            let parts = [models(root, &[]), continuous::run(root), kills(root), fuzz::run(root, &[])];
+            let parts = [models(root, &[]), continuous::run(root), kills(root), farm::run(root), fuzz::run(root, &[])];
             let failed: Vec<String> = parts.into_iter().filter_map(Result::err).collect();
             if failed.is_empty() { Ok(()) } else { Err(failed.join("\n")) }
         }
@@ -26,6 +27,7 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<(), String> {
             "corpus" => models(root, rest),
             "continuous" => continuous::run(root),
             "kills" => kills(root),
+            "farm" => farm::run(root),
             "fuzz" => fuzz::run(root, rest),
             _ => Err(HELP.into()),
         },

@@ -28,7 +28,9 @@ impl Store {
 
     /// Whether a blob seems to be there; only reading it tells.
     pub(crate) fn has_blob(&self, hash: &ContentHash, length: u64) -> bool {
-        fs::metadata(self.blob_path(hash)).is_ok_and(|metadata| is_length_of(&metadata, length))
+        let here =
+            |store: &Store| fs::metadata(store.blob_path(hash)).is_ok_and(|metadata| is_length_of(&metadata, length));
+        here(self) || self.layers.iter().any(here)
     }
 
     /// Keeps `bytes`, whose digest is `hash`.
@@ -55,9 +57,10 @@ impl Store {
         named
     }
 
-    /// The bytes whose digest is `hash`, or `None` for a miss; what is not here is asked of the remote.
+    /// The bytes whose digest is `hash`, or `None` for a miss; what is neither here nor in a layer is asked of the remote.
     pub(crate) fn blob(&self, hash: &ContentHash) -> Option<Arc<[u8]>> {
-        self.local_blob(hash).or_else(|| {
+        let near = std::iter::once(self).chain(&self.layers).find_map(|store| store.local_blob(hash));
+        near.or_else(|| {
             self.claimed_blob(hash, None).ok()?;
             self.local_blob(hash)
         })

@@ -6,12 +6,12 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use kiln_engine::{ContentHash, Inconsistency, RemoteOptions, Verification};
+use kiln_engine::{ContentHash, Executor, Inconsistency, RemoteOptions, Verification};
 use kiln_pipeline::plan::{PlanError, folder_of};
 
 use super::args::BuildArgs;
 use super::watch::{self, Once};
-use super::{complain, data, diagnostics, progress};
+use super::{complain, data, diagnostics, farm, progress};
 use crate::build::BuildError;
 use crate::config::Config;
 use crate::debug_images::StagePicture;
@@ -20,6 +20,32 @@ use crate::summary::{StageState, Summary, seconds};
 
 /// Builds every pipeline in turn; the gravest exit code wins.
 pub(super) fn run(args: &BuildArgs) -> Exit {
+    let cancel = cancelled_by_signal();
+    let mode = args.remote.remote_mode.map(Into::into);
+    let settings = Config::load().and_then(|config| {
+        let remote = config.remote(args.remote.remote.as_deref(), mode)?;
+        Ok((remote, farm::executor(args, &config)?))
+    });
+    let (remote, executor) = match settings {
+        Ok((remote, executor)) => (remote, executor),
+        Err(error) => return complain(Exit::Usage, &error.to_string()),
+    };
+    let means = Means { remote, executor };
+    if !args.watch {
+        return all(args, &means, &cancel, false).exit;
+    }
+    let mut again = false;
+    watch::run(&cancel, &mut || all(args, &means, &cancel, std::mem::replace(&mut again, true)))
+}
+
+/// What the configuration and the command line give a build beside the pipeline.
+struct Means {
+    remote: Option<RemoteOptions>,
+    executor: Box<dyn Executor>,
+}
+
+/// A flag that Ctrl-C sets.
+pub(super) fn cancelled_by_signal() -> Arc<AtomicBool> {
     let cancel = Arc::new(AtomicBool::new(false));
     let on_signal = Arc::clone(&cancel);
     // A second Ctrl-C ends the process at once: killing kiln at any moment loses nothing.
@@ -32,21 +58,11 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
     if let Err(error) = handler {
         eprintln!("warning: Ctrl-C will end the build at once: {error}");
     }
-    let mode = args.remote_mode.map(Into::into);
-    let remote = match Config::load().and_then(|config| config.remote(args.remote.as_deref(), mode)) {
-        Ok(remote) => remote,
-        Err(error) => return complain(Exit::Usage, &error.to_string()),
-    };
-    let remote = remote.as_ref();
-    if !args.watch {
-        return all(args, remote, &cancel, false).exit;
-    }
-    let mut again = false;
-    watch::run(&cancel, &mut || all(args, remote, &cancel, std::mem::replace(&mut again, true)))
+    cancel
 }
 
 /// Builds every pipeline once; `again`: what is fresh still needs no word.
-fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool>, again: bool) -> Once {
+fn all(args: &BuildArgs, means: &Means, cancel: &Arc<AtomicBool>, again: bool) -> Once {
     let mut worst = Exit::Done;
     let mut reports = Vec::new();
     let mut depfile = String::new();
@@ -57,7 +73,9 @@ fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool
         build.jobs = args.jobs;
         build.keep_going = args.keep_going;
         build.dry_run = args.dry_run;
-        build.remote = remote.cloned();
+        build.remote = means.remote.clone();
+        build.assets.clone_from(&args.part.assets);
+        build.with.clone_from(&args.part.with);
         build.debug_pictures = args.debug_images.is_some();
         build.brief = !args.json;
         build.dependencies = args.depfile.is_some() || args.watch;
@@ -69,7 +87,7 @@ fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool
             worst = worst.max(result.map_or_else(|error| failed(&error), |found| show_verified(pipeline, &found)));
             continue;
         }
-        let result = build.run(&progress);
+        let result = build.run_on(&*means.executor, &progress);
         progress.finish();
         let exit = match result {
             Ok(outcome) => {
@@ -106,8 +124,7 @@ fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool
     }
     if let Some(path) = &args.depfile
         && !depfile.is_empty()
-        && fs::read(path).ok().as_deref() != Some(depfile.as_bytes())
-        && let Err(exit) = super::write(path, depfile.as_bytes())
+        && let Err(exit) = super::write_if_new(path, depfile.as_bytes())
     {
         worst = worst.max(exit);
     }
@@ -167,7 +184,8 @@ pub(super) fn failed(error: &BuildError) -> Exit {
         diagnostics::show(list, sources);
         return if plan.is_usage() { Exit::Usage } else { Exit::Failed };
     }
-    let exit = if matches!(error, BuildError::Remote(_)) { Exit::Usage } else { Exit::Failed };
+    let usage = matches!(error, BuildError::Remote(_) | BuildError::NoAsset { .. } | BuildError::NoStage { .. });
+    let exit = if usage { Exit::Usage } else { Exit::Failed };
     complain(exit, &error.to_string())
 }
 

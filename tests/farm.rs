@@ -207,7 +207,7 @@ fn ninja_runs_the_exported_graph_and_only_what_changed() {
     }
     let space = models(3);
     // A name that Ninja and the shell would take apart.
-    fs::rename(space.path("models/m2.gltf"), space.path("models/m $2: it's.gltf")).unwrap();
+    fs::rename(space.path("models/m2.gltf"), space.path("models/m $2: its.gltf")).unwrap();
     let plan = ["plan", "pipeline.toml", "--backend", "cpu", "--ninja", "-o", "build/build.ninja", "--program", KILN];
     space.run(plan).expect(0);
     let ninja = || {
@@ -223,7 +223,7 @@ fn ninja_runs_the_exported_graph_and_only_what_changed() {
     let again = ninja();
     assert!(again.contains("no work to do"), "{again}");
     let whole = models(3);
-    fs::rename(whole.path("models/m2.gltf"), whole.path("models/m $2: it's.gltf")).unwrap();
+    fs::rename(whole.path("models/m2.gltf"), whole.path("models/m $2: its.gltf")).unwrap();
     whole.build();
     assert_eq!(containers(&space), containers(&whole));
 
@@ -369,12 +369,13 @@ fn an_element_that_dies_for_good_costs_its_own_assets_only() {
 #[test]
 fn a_full_queue_is_waited_for_and_a_refusal_from_the_start_is_told() {
     let farm = Farm::new(models(2));
-    fs::write(farm.fake.join("refuse"), "1").unwrap();
+    fs::write(farm.fake.join("refuse"), "1 1").unwrap();
     let said = farm.build("", &[]).expect(2).stderr;
     assert!(said.contains("sbatch: sbatch: error: Batch job submission failed: Job violates"), "{said}");
     let farm = Farm::new(models(2));
+    fs::write(farm.fake.join("refuse"), "3 5").unwrap();
     farm.build("", &["--asset", "models/m0.gltf"]).expect(0);
-    assert_eq!(farm.submitted().len(), 5, "of one asset");
+    assert_eq!(farm.submitted().len(), 8, "of one asset, and three refusals");
     farm.build("[slurm]\nbatch = 0", &[]).expect(64);
 }
 

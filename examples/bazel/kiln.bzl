@@ -10,8 +10,10 @@ def _action(ctx, out, arguments, fragments, what):
     args = ctx.actions.args()
     args.add_all(arguments)
     args.add_all(fragments, before_each = "--with", expand_directories = False)
-    ctx.actions.run(
-        executable = ctx.file._kiln,
+    ctx.actions.run_shell(
+        # Not the executable itself: Bazel would look for a name without a folder on PATH.
+        command = "exec \"$PWD/%s\" \"$@\"" % ctx.file._kiln.path,
+        tools = [ctx.file._kiln],
         arguments = [args],
         inputs = [ctx.file.pipeline, ctx.file.model] + ctx.files.data + fragments,
         outputs = [out],

@@ -23,10 +23,6 @@ end() { # a pid file: TERM, then KILL after two seconds
   kill -9 "$pid" 2>/dev/null || true
 }
 
-# What a node runs: the steps' processes, children of the node's own slurmstepd.
-steps() { for p in $(ps -eo pid=,args= | awk -v n="slurmstepd" '$2 ~ n {print $1}'); do
-  tr '\0' '\n' < "/proc/$p/environ" 2>/dev/null | grep -qx "SLURM_CONF=$dir/slurm.conf" && echo "$p"; done; }
-
 start() {
   cpus=${3:-2}
   mkdir -p "$dir/state" "$dir/node1" "$dir/node2" "$dir/log"
@@ -98,12 +94,14 @@ case $what in
     node=$3
     pid=$(cat "$dir/$node.pid")
     kill -9 "$pid"
-    # Its steps: batch scripts whose environment names the node, and their children.
-    for p in $(ls /proc | grep '^[0-9]*$'); do
-      if tr '\0' '\n' < "/proc/$p/environ" 2>/dev/null | grep -qx "SLURMD_NODENAME=$node" &&
-        tr '\0' '\n' < "/proc/$p/environ" 2>/dev/null | grep -qx "SLURM_CONF=$dir/slurm.conf"; then
-        kill -9 "$p" 2>/dev/null || true
-      fi
+    # What it runs: processes whose environment names the node, each after the step's own daemon, their parent.
+    for entry in /proc/[0-9]*; do
+      { environment=$(tr '\0' '\n' < "$entry/environ"); } 2> /dev/null || continue
+      echo "$environment" | grep -qx "SLURMD_NODENAME=$node" || continue
+      echo "$environment" | grep -qx "SLURM_CONF=$dir/slurm.conf" || continue
+      parent=$(awk '/^PPid/ { print $2 }' "$entry/status" 2> /dev/null)
+      if [ "$(cat "/proc/$parent/comm" 2> /dev/null)" = slurmstepd ]; then kill -9 "$parent" 2> /dev/null || true; fi
+      kill -9 "${entry#/proc/}" 2> /dev/null || true
     done
     ;;
   stop)

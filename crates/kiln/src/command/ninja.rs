@@ -8,7 +8,10 @@
 //! that whoever deletes it deletes them. The parameters of a stage are in its command by their digest, so a changed pipeline runs
 //! the stages that it changes, and Ninja does the rest.
 //!
+//! # Limits
 //! A receipt covers all that a stage gives: a stage that reads another part of it is started, and finds itself fresh.
+//! Ninja cannot read some names out of a depfile, those with an apostrophe among them: the import of such a model is started every
+//! time, and finds itself fresh.
 
 use std::fmt::Write as _;
 use std::path::Path;

@@ -44,7 +44,7 @@ impl Progress {
         }
     }
 
-    /// How far tasks on other machines are: a bar, or a line whenever the count moved.
+    /// How far tasks on other machines are: a bar, or a line for each twentieth.
     fn elsewhere(&self, progress: &kiln_engine::Progress) {
         let mut shown = self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner);
         let (ended, all) = (progress.done + progress.failed, progress.tasks);
@@ -57,10 +57,15 @@ impl Progress {
                 bar.set_position(ended as u64);
                 bar.set_message(text);
             }
-            None if shown.ended != Some(ended) => eprintln!("{text}"),
+            None if shown
+                .ended
+                .is_none_or(|before| ended != before && (ended == all || ended >= before + all / 20)) =>
+            {
+                eprintln!("{text}");
+                shown.ended = Some(ended);
+            }
             None => {}
         }
-        shown.ended = Some(ended);
     }
 
     fn line(&self, text: &str) {

@@ -52,8 +52,10 @@ const GRACE: Duration = Duration::from_secs(5);
 const PAUSE: (Duration, Duration) = (Duration::from_millis(200), Duration::from_secs(10));
 /// So long may `squeue` give no answer in a row.
 const SILENCE: Duration = Duration::from_secs(600);
-/// How often an array is handed in that the queue has no room for.
-const SUBMISSIONS: usize = 60;
+/// How often an array is handed in that the queue has no room for, while nothing of what is in it is done.
+const SUBMISSIONS: usize = 360;
+/// The same, when nothing of this run is in it.
+const LAST_SUBMISSIONS: usize = 5;
 
 const HELP: &str = "`--on slurm` needs Slurm's commands on this machine; `--on local` does without";
 
@@ -205,17 +207,20 @@ impl<'a> Run<'a> {
     /// Hands in all arrays, those of a chunk level by level.
     fn submit_all(&mut self) -> Result<(), ExecutorError> {
         for number in 0..self.arrays.len() {
-            let mut tried = 0;
-            let mut pause = PAUSE.0;
+            let (mut tried, mut pause) = (0, PAUSE.0);
             while self.arrays[number].job.is_none() && !self.is_cancelled() {
                 match self.submit(number) {
                     Ok(job) => self.arrays[number].job = Some(job),
                     // A full queue has room again when some of what is in it is done.
-                    Err(ExecutorError::Refused { .. }) if tried < SUBMISSIONS && self.is_under_way() => {
+                    Err(ExecutorError::Refused { .. }) if tried < self.patience() => {
                         tried += 1;
-                        std::thread::sleep(pause);
+                        self.sleep(pause);
                         pause = (pause * 2).min(PAUSE.1);
+                        let known = self.codes.len();
                         self.poll()?;
+                        if self.codes.len() > known {
+                            tried = 0;
+                        }
                     }
                     Err(error) => return Err(error),
                 }
@@ -223,6 +228,15 @@ impl<'a> Run<'a> {
             self.tell();
         }
         Ok(())
+    }
+
+    /// How often a refusal is taken for a full queue.
+    fn patience(&self) -> usize {
+        match self.arrays.iter().any(|array| array.job.is_some()) {
+            true if self.is_under_way() => SUBMISSIONS,
+            true => LAST_SUBMISSIONS,
+            false => 0,
+        }
     }
 
     fn is_under_way(&self) -> bool {

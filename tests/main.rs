@@ -17,6 +17,7 @@ mod corpus;
 mod crash;
 mod determinism;
 mod families;
+mod farm;
 mod gltfpack;
 mod goldens;
 mod init;

@@ -15,7 +15,7 @@ use crate::index::{Content, Index, Line};
 use crate::noop::{self, Look};
 use crate::plan::Plan;
 use crate::remote::{Remote, RemoteReport};
-use crate::report::{BuildReport, Event, Observer, Why};
+use crate::report::{BuildReport, Event, Observer, Record, Why};
 use crate::state::{Last, State};
 use crate::store::Store;
 
@@ -44,6 +44,8 @@ pub struct BuildOptions {
     pub cancel: Arc<AtomicBool>,
     /// When a write waits for the device.
     pub durability: Durability,
+    /// Whether records say how long actions took; without it equal runs leave equal records.
+    pub timed: bool,
     /// The coarsest step in which the file system may stamp files; see the module `files`. Smaller is a promise of the caller.
     pub clock_granularity: Duration,
 }
@@ -56,6 +58,7 @@ impl Default for BuildOptions {
             dry_run: false,
             cancel: Arc::default(),
             durability: Durability::default(),
+            timed: true,
             clock_granularity: Duration::from_nanos(GRANULARITY as u64),
         }
     }
@@ -85,6 +88,8 @@ pub struct Engine {
     /// Stats and contents that the last build saw, sorted by path.
     pub(crate) seen: Vec<(String, Seen)>,
     pub(crate) granularity: i64,
+    /// Neither reads nor writes what a build leaves for the next one.
+    stateless: bool,
 }
 
 impl Engine {
@@ -109,7 +114,42 @@ impl Engine {
             touched: Vec::new(),
             seen: Vec::new(),
             granularity: GRANULARITY,
+            stateless: false,
         }
+    }
+
+    /// An engine for a part of a pipeline: it knows records and blobs alone, and leaves the build state of the whole as it is.
+    pub fn stateless(cache: impl Into<PathBuf>) -> Engine {
+        Engine { stateless: true, index: Some(None), ..Engine::open(cache, "") }
+    }
+
+    /// Reads these cache folders where its own lacks something, in order; they are never written, and what they give is not
+    /// copied. Each is verified as the own one is; a damaged entry is a miss and a warning.
+    pub fn with_layers(mut self, folders: Vec<PathBuf>) -> Engine {
+        self.store = self.store.with_layers(folders);
+        self
+    }
+
+    /// Does `work` under a lease: a garbage collection spares what is made or read meanwhile, by whatever process.
+    ///
+    /// # Errors
+    /// The cache folder cannot be used.
+    pub fn during<R>(&self, work: impl FnOnce() -> R) -> Result<R, EngineError> {
+        self.store.prepare()?;
+        Ok(self.store.during(&Arc::default(), work))
+    }
+
+    /// Copies a record and its blobs into the own cache where only a layer has them; whether all is there now.
+    ///
+    /// # Errors
+    /// The file system refuses.
+    pub fn adopt(&self, record: &Record) -> Result<bool, EngineError> {
+        for output in &record.outputs {
+            let Some(bytes) = self.store.blob(&output.hash) else { return Ok(false) };
+            self.store.put_blob(&output.hash, &bytes, false)?;
+        }
+        self.store.put_record(record, false, false)?;
+        Ok(true)
     }
 
     /// Asks `remote` for what the cache lacks while [`Engine::build`] runs, and sends it what ran if its mode is to write.
@@ -246,7 +286,7 @@ impl Engine {
                 self.opened_at = now.map(|now| now.saturating_sub(passed));
             }
         }
-        if self.partial.is_none() {
+        if self.partial.is_none() && !self.stateless {
             self.state.load();
         }
         self.granularity = granularity(options);
@@ -258,7 +298,7 @@ impl Engine {
         let built = if options.dry_run { work() } else { self.store.during(&options.cancel, work) };
         let Built { mut report, seen, lasts } = built;
         self.index = Some(index);
-        if !options.dry_run {
+        if !options.dry_run && !self.stateless {
             self.keep(plan, &report, seen, lasts);
         }
         report.warnings.extend(self.store.take_warnings());

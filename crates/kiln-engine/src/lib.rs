@@ -43,7 +43,7 @@
 //! ```
 //!
 //! # Limits
-//! One process runs the actions; remotes, garbage collection and other executors come later. Two caches that write one output
+//! Two caches that write one output
 //! at the same moment are not kept apart: the lock lies in the cache.
 //!
 //! # Sources
@@ -51,13 +51,14 @@
 //! a la carte", ICFP 2018, doi:10.1145/3236774 (constructive traces with early cut-off; discovered inputs as depth-one traces).
 //!
 //! Reading order: `plan`, `manifest`, `reason`, `build` (the algorithm), `store`, `files`, `state`, `index`,
-//! `noop`, `remember`, `verify`, `engine`.
+//! `noop`, `remember`, `verify`, `engine`, `executor` (other machines).
 
 mod build;
 mod context;
 mod disk;
 mod engine;
 mod error;
+mod executor;
 mod files;
 mod hash;
 mod index;
@@ -78,6 +79,9 @@ pub use context::Context;
 pub use disk::quiesce;
 pub use engine::{BuildOptions, Durability, Engine};
 pub use error::{ActionError, EngineError, IoError};
+pub use executor::{
+    Class, Executed, Executor, ExecutorError, Failure, Local, Progress, Slurm, SlurmOptions, Task, Work, settle, tasks,
+};
 pub use hash::{ContentHash, Fingerprint, NotADigest};
 pub use manifest::{Field, InputField, Manifest, Origin, Topic, Value};
 pub use noop::{Group, Look, Memory};

@@ -7,7 +7,8 @@ use std::sync::Arc;
 
 use crate::context::Context;
 use crate::error::ActionError;
-use crate::manifest::{Field, Topic, Value};
+use crate::hash::Fingerprint;
+use crate::manifest::{Field, Manifest, Topic, Value};
 
 /// All actions of one build. Every path in it is relative to `root`, `/`-separated; `root` itself is never hashed.
 #[derive(Clone, Default)]
@@ -90,6 +91,16 @@ impl Action {
     pub fn input(mut self, name: impl Into<String>, source: Source) -> Action {
         self.inputs.push(Input { name: name.into(), source });
         self
+    }
+
+    /// Digest of all that it declares beside its inputs: kind, version, parameters, libraries, classes of machine and device.
+    pub fn declares(&self) -> Fingerprint {
+        Manifest::new(self.head(), Vec::new()).fingerprint()
+    }
+
+    /// The actions that it reads, each once, ascending.
+    pub fn upstream(&self) -> BTreeSet<usize> {
+        self.inputs.iter().filter_map(|input| input.source.upstream()).collect()
     }
 
     /// The fields of the manifest that are no inputs.
@@ -265,6 +276,29 @@ pub enum PlanDefect {
 }
 
 impl Plan {
+    /// The part that action `last` needs, itself included and last, without targets; and the indices that its actions have here.
+    ///
+    /// # Panics
+    /// If there is no such action, or one of them reads an action that does not come before it.
+    pub fn upto(&self, last: usize) -> (Plan, Vec<usize>) {
+        let mut needed = BTreeSet::new();
+        let mut open = vec![last];
+        while let Some(action) = open.pop() {
+            if needed.insert(action) {
+                open.extend(self.actions[action].upstream());
+            }
+        }
+        let kept: Vec<usize> = needed.into_iter().collect();
+        let place = |old: usize| kept.binary_search(&old).expect("invariant: what is read is kept");
+        let mut actions: Vec<Action> = kept.iter().map(|&old| self.actions[old].clone()).collect();
+        for input in actions.iter_mut().flat_map(|action| &mut action.inputs) {
+            if let Source::Output { action, .. } | Source::Outputs { action, .. } = &mut input.source {
+                *action = place(*action);
+            }
+        }
+        (Plan { root: self.root.clone(), actions, targets: Vec::new() }, kept)
+    }
+
     /// All mistakes in the plan; empty for a sound one.
     pub fn defects(&self) -> Vec<PlanDefect> {
         let mut defects = Vec::new();

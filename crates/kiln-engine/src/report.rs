@@ -5,6 +5,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{ActionError, IoError};
+use crate::executor::Progress;
 use crate::hash::{ContentHash, Fingerprint};
 use crate::reason::StaleReason;
 
@@ -221,6 +222,8 @@ pub enum Event<'a> {
         /// How.
         state: &'a TargetState,
     },
+    /// An executor says how far it is.
+    Elsewhere(&'a Progress),
     /// Soft trouble.
     Warning {
         /// The action that says so; `None` for the engine.

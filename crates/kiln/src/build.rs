@@ -5,8 +5,9 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use kiln_engine::{
-    ActionError, ActionState, BuildOptions, BuildReport, ContentHash, Dependencies, Engine, EngineError, Event, Group,
-    Look, Memory, Observer, Remote, RemoteError, RemoteOptions, TargetState, Verdict, Verification,
+    ActionError, ActionState, BuildOptions, BuildReport, ContentHash, Dependencies, Engine, EngineError, Event,
+    Executor, ExecutorError, Group, Local, Look, Memory, Observer, Remote, RemoteError, RemoteOptions, TargetState,
+    Verdict, Verification,
 };
 use kiln_pipeline::language::{Diagnostic, Sources};
 use kiln_pipeline::plan::{PlanError, PlanOptions, Planned, PlannedAsset, folder_of, plan};
@@ -17,7 +18,7 @@ use serde_json::Value;
 use crate::claims::{self, Built};
 use crate::debug_images::{StagePicture, debug_pictures};
 use crate::summary::{AssetSummary, StageState, StageSummary, Summary, Untouched};
-use crate::{memory, worker};
+use crate::{farm, memory, worker};
 
 /// What to build, and how. Every field has the default that the command has.
 #[derive(Clone, Debug)]
@@ -26,6 +27,11 @@ pub struct Build {
     pub pipeline: PathBuf,
     /// `KEY=VALUE` settings, as `--set` takes them.
     pub sets: Vec<String>,
+    /// These models alone, relative to the pipeline's folder (or, if there is none, to the current one); empty: all. The build
+    /// state of the whole pipeline stays as it is.
+    pub assets: Vec<String>,
+    /// Cache folders that are read where the own one lacks something, such as those that `kiln stage run` left; never written.
+    pub with: Vec<PathBuf>,
     /// Where GPU passes run.
     pub backend: Backend,
     /// The cache's folder; `None`: `.kiln` beside the pipeline.
@@ -80,6 +86,39 @@ pub enum BuildError {
     /// The remote's address or settings make no sense.
     #[error(transparent)]
     Remote(#[from] RemoteError),
+    /// Stages cannot run elsewhere.
+    #[error(transparent)]
+    Executor(#[from] ExecutorError),
+    /// A model that the pipeline does not build.
+    #[error("the pipeline does not build `{asset}`{help}")]
+    NoAsset {
+        /// As it was given.
+        asset: String,
+        /// What it builds.
+        help: String,
+    },
+    /// A stage that the pipeline does not have.
+    #[error("{asset} has no stage `{stage}`; it has {stages}")]
+    NoStage {
+        /// The model.
+        asset: String,
+        /// As it was given.
+        stage: String,
+        /// Those that it has.
+        stages: String,
+    },
+    /// A command that was planned for something else.
+    #[error(
+        "{label}: parameters, versions or machine are not what was planned ({now} instead of {expected}); run `kiln plan` again"
+    )]
+    OtherPlan {
+        /// The stage.
+        label: String,
+        /// As it was given.
+        expected: String,
+        /// What it is.
+        now: String,
+    },
 }
 
 impl Build {
@@ -88,6 +127,8 @@ impl Build {
         Build {
             pipeline: pipeline.into(),
             sets: Vec::new(),
+            assets: Vec::new(),
+            with: Vec::new(),
             backend: Backend::default(),
             cache: None,
             jobs: None,
@@ -102,7 +143,7 @@ impl Build {
         }
     }
 
-    fn cache_folder(&self) -> PathBuf {
+    pub(crate) fn cache_folder(&self) -> PathBuf {
         self.cache.clone().unwrap_or_else(|| folder_of(&self.pipeline).join(".kiln"))
     }
 
@@ -119,7 +160,11 @@ impl Build {
             self.sets,
             has_paths.then_some(current)
         );
-        (Engine::open(self.cache_folder(), &name), ContentHash::of(key.as_bytes()))
+        let engine = match self.assets.is_empty() {
+            true => Engine::open(self.cache_folder(), &name),
+            false => Engine::stateless(self.cache_folder()),
+        };
+        (engine.with_layers(self.with.clone()), ContentHash::of(key.as_bytes()))
     }
 
     fn plan(&self, only: Option<Vec<String>>) -> Result<Planned, PlanError> {
@@ -133,6 +178,35 @@ impl Build {
         plan(&self.pipeline, &options)
     }
 
+    /// The plan of all, or of the assets that were asked for.
+    pub(crate) fn plan_asked(&self) -> Result<Planned, BuildError> {
+        if self.assets.is_empty() {
+            return Ok(self.plan(None)?);
+        }
+        let root = folder_of(&self.pipeline);
+        let mut names: Vec<String> = self.assets.iter().map(|asset| name_below(&root, asset)).collect();
+        names.sort();
+        names.dedup();
+        let no_asset = |asset: &String| {
+            let all = self.plan(None)?.assets;
+            let near = kiln_pipeline::language::nearest(asset, all.iter().map(|asset| asset.input.as_str()));
+            let count = all.len();
+            let help =
+                near.map_or_else(|| format!(" among its {count} models"), |near| format!("; did you mean `{near}`?"));
+            Err(BuildError::NoAsset { asset: asset.clone(), help })
+        };
+        let planned = match self.plan(Some(names.clone())) {
+            Ok(planned) => planned,
+            Err(PlanError::Pipeline { .. }) if names.len() == 1 => return no_asset(&names[0]),
+            Err(error) => return Err(error.into()),
+        };
+        match names.iter().find(|name| !planned.assets.iter().any(|asset| asset.input == **name)) {
+            Some(absent) => no_asset(absent),
+            // What is said of the whole pipeline is no matter of a part of it.
+            None => Ok(Planned { warnings: Vec::new(), ..planned }),
+        }
+    }
+
     /// The plan of changed assets alone; `None` where that will not do: another device, or the pipeline changed just now.
     fn plan_some(&self, engine: &Engine, names: &[String]) -> Option<Planned> {
         let planned = self.plan(Some(names.to_vec())).ok()?;
@@ -144,7 +218,7 @@ impl Build {
         (found == names && same).then_some(planned)
     }
 
-    fn options(&self) -> BuildOptions {
+    pub(crate) fn options(&self) -> BuildOptions {
         let defaults = BuildOptions::default();
         BuildOptions {
             jobs: self.jobs.unwrap_or(defaults.jobs).max(1),
@@ -160,11 +234,20 @@ impl Build {
     /// # Errors
     /// The pipeline's defects, all at once, or a cache that cannot be used. A stage that fails is in the summary.
     pub fn run(&self, observer: &dyn Observer) -> Result<Outcome, BuildError> {
+        self.run_on(&Local, observer)
+    }
+
+    /// Builds, with an executor that runs what is stale elsewhere beforehand.
+    ///
+    /// # Errors
+    /// As for [`Build::run`], or the executor's own.
+    pub fn run_on(&self, executor: &dyn Executor, observer: &dyn Observer) -> Result<Outcome, BuildError> {
         let start = std::time::Instant::now();
         let (mut engine, key) = self.engine();
-        let options = self.options();
+        let local = executor.is_local();
+        let options = BuildOptions { keep_going: self.keep_going || !local, ..self.options() };
         // Where there is no cache yet there is nothing to find, and a broken pipeline shall not leave one behind.
-        let may_look = !self.dry_run && self.cache_folder().is_dir();
+        let may_look = !self.dry_run && self.assets.is_empty() && self.cache_folder().is_dir();
         let look = if may_look { engine.look(&folder_of(&self.pipeline), &key, &options) } else { Look::Unknown };
         if look == Look::Fresh
             && !self.debug_pictures
@@ -189,18 +272,21 @@ impl Build {
             Some(planned) => planned,
             None => {
                 engine.widen();
-                self.plan(None)?
+                self.plan_asked()?
             }
         };
         if let Some(options) = &self.remote {
             engine = engine.with_remote(Remote::open(options.clone())?);
+        }
+        if !local && !self.dry_run {
+            farm::execute(self, executor, &mut engine, &mut planned, observer)?;
         }
         let peaks = Peaks { inner: observer, peaks: Mutex::new(vec![None; planned.plan.actions.len()]) };
         let Built { report, remote, lies } =
             claims::build(&mut engine, &planned.plan, &options, &peaks, self.check_claims)?;
         let peaks = peaks.peaks.into_inner().unwrap_or_else(PoisonError::into_inner);
         let parts: Vec<Part> = planned.assets.iter().map(|asset| part(asset, &report, &peaks)).collect();
-        let kept = match self.dry_run {
+        let kept = match self.dry_run || !self.assets.is_empty() {
             true => Ok(()),
             false => engine.remember(&planned.plan, &report, &memory(key, &planned, &parts)),
         };
@@ -241,7 +327,7 @@ impl Build {
     /// # Errors
     /// As for [`Build::run`].
     pub fn verify(&self, observer: &dyn Observer) -> Result<Verification, BuildError> {
-        let planned = self.plan(None)?;
+        let planned = self.plan_asked()?;
         let (engine, _) = self.engine();
         let on_one_thread =
             |work: &mut (dyn FnMut() + Send)| match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
@@ -446,7 +532,7 @@ fn part(asset: &PlannedAsset, report: &BuildReport, peaks: &[Option<u64>]) -> Pa
 }
 
 /// Each defect of a failed stage.
-fn defects(error: &ActionError) -> Vec<String> {
+pub(crate) fn defects(error: &ActionError) -> Vec<String> {
     if let ActionError::Failed(inner) = error
         && let Some(StageError::Import(import)) = inner.downcast_ref::<StageError>()
     {
@@ -536,6 +622,19 @@ pub fn why(build: &Build, output: &Path) -> Result<Option<WhyOutcome>, BuildErro
     stages.push(verdict("output".into(), &answer.target));
     let fresh = stages.iter().all(|s| s.verdict == "fresh");
     Ok(Some(WhyOutcome { output: asset.output.clone(), fresh, stages }))
+}
+
+/// How a plan names a model: relative to the pipeline's folder.
+fn name_below(root: &Path, asset: &str) -> String {
+    let plain = asset.strip_prefix("./").unwrap_or(asset);
+    if root.join(plain).is_file() {
+        return plain.to_owned();
+    }
+    let here = Path::new(plain);
+    match here.strip_prefix(root) {
+        Ok(below) if here.is_file() => below.to_string_lossy().into_owned(),
+        _ => plain.to_owned(),
+    }
 }
 
 /// The path without `.` and `..`, from the root; its folder's links resolved where it exists.

@@ -14,6 +14,18 @@
 //! check = 0.05                    # the share of remote hits that `--verify --remote` recomputes
 //! patience = "15s"                # what a build may lose to a remote that fails or is slow
 //! settings = { region = "eu-central-1" }
+//!
+//! [slurm]                         # `build --on slurm`; every key may be left out
+//! partition = "render"
+//! account = "assets"
+//! gres = "gpu:1"                  # what GPU stages ask for
+//! time = "2:00:00"                # of an array element: `batch` stages
+//! mem = "8G"
+//! cpus = 4
+//! batch = 8                       # assets an array element
+//! limit = 200                     # elements of one array at a time
+//! max_array = 1000                # MaxArraySize of slurm.conf, less one
+//! sbatch = ["--qos=low"]          # further arguments
 //! ```
 //!
 //! It lies at `$KILN_CONFIG`, else `$XDG_CONFIG_HOME/kiln/config.toml`, `~/.config/kiln/config.toml`, or on Windows
@@ -26,7 +38,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use kiln_engine::{PublicKey, RemoteMode, RemoteOptions, SigningKey};
+use kiln_engine::{PublicKey, RemoteMode, RemoteOptions, SigningKey, SlurmOptions};
 use serde::Deserialize;
 
 /// The file as it is written.
@@ -39,6 +51,9 @@ pub struct Config {
     /// The remote.
     #[serde(default)]
     pub remote: RemoteConfig,
+    /// `build --on slurm`.
+    #[serde(default)]
+    pub slurm: SlurmConfig,
 }
 
 /// `[cache]`.
@@ -71,6 +86,33 @@ pub struct RemoteConfig {
     /// The service's own settings.
     #[serde(default)]
     pub settings: BTreeMap<String, String>,
+}
+
+/// `[slurm]`.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SlurmConfig {
+    /// `--partition`.
+    pub partition: Option<String>,
+    /// `--account`.
+    pub account: Option<String>,
+    /// `--gres` of GPU stages; empty: none.
+    pub gres: Option<String>,
+    /// `--time`.
+    pub time: Option<String>,
+    /// `--mem`.
+    pub mem: Option<String>,
+    /// `--cpus-per-task`.
+    pub cpus: Option<u32>,
+    /// Assets an array element.
+    pub batch: Option<usize>,
+    /// Elements of one array at a time.
+    pub limit: Option<usize>,
+    /// Longest array.
+    pub max_array: Option<usize>,
+    /// Further arguments of `sbatch`.
+    #[serde(default)]
+    pub sbatch: Vec<String>,
 }
 
 /// A setting that makes no sense, with where it stands.
@@ -133,6 +175,30 @@ impl Config {
 
     fn parse(text: &str, path: &Path) -> Result<Config, ConfigError> {
         toml::from_str(text).map_err(|error| ConfigError::Malformed { path: path.to_owned(), error: Box::new(error) })
+    }
+
+    /// How to hand stages to Slurm.
+    ///
+    /// # Errors
+    /// A number is zero that must not be.
+    pub fn slurm(&self) -> Result<SlurmOptions, ConfigError> {
+        let (file, defaults) = (self.slurm.clone(), SlurmOptions::default());
+        let positive = |place, value: Option<usize>, default| match value {
+            Some(0) => Err(value_error(place, "expected 1 or more")),
+            value => Ok(value.unwrap_or(default)),
+        };
+        Ok(SlurmOptions {
+            partition: file.partition,
+            account: file.account,
+            gres: file.gres.unwrap_or(defaults.gres),
+            time: file.time,
+            mem: file.mem,
+            cpus: file.cpus,
+            batch: positive("slurm.batch", file.batch, defaults.batch)?,
+            limit: file.limit.unwrap_or(defaults.limit),
+            max_array: positive("slurm.max_array", file.max_array, defaults.max_array)?,
+            sbatch: file.sbatch,
+        })
     }
 
     /// The remote to use: `url` and `mode` as typed, else as the environment has them, else as the file has them.
@@ -276,6 +342,9 @@ mod tests {
             let told = parse(text).unwrap().remote(Some("x"), None).unwrap_err().to_string();
             assert!(told.contains(expected), "{told}");
         }
+        let slurm = parse("[slurm]\npartition = 'render'\nbatch = 8\nsbatch = ['--qos=low']").unwrap().slurm().unwrap();
+        assert_eq!((slurm.partition.as_deref(), slurm.batch, slurm.gres.as_str()), (Some("render"), 8, "gpu:1"));
+        assert!(parse("[slurm]\nbatch = 0").unwrap().slurm().unwrap_err().to_string().contains("slurm.batch"));
         assert!(parse("[remote]\nulr = 'x'").unwrap_err().to_string().contains("ulr"));
     }
 }

@@ -45,8 +45,13 @@ impl Names<'_> {
     }
 }
 
+/// One path below `root` as a build system knows it.
+pub(crate) fn place(root: &Path, path: &str) -> String {
+    Names::of(root).name(path)
+}
+
 /// The folder of a path below the root.
-fn folder_of(path: &str) -> &str {
+pub(crate) fn folder_of(path: &str) -> &str {
     path.rsplit_once('/').map_or(".", |(folder, _)| folder)
 }
 
@@ -78,7 +83,7 @@ pub fn depfile(dependencies: &Dependencies, root: &Path) -> String {
     text
 }
 
-fn rule(text: &mut String, outputs: impl Iterator<Item = String>, inputs: impl Iterator<Item = String>) {
+pub(crate) fn rule(text: &mut String, outputs: impl Iterator<Item = String>, inputs: impl Iterator<Item = String>) {
     let writable = |path: &String| !path.contains(['\n', '\r']);
     let outputs: Vec<String> = outputs.filter(writable).map(|path| escaped(&path)).collect();
     if outputs.is_empty() {

@@ -10,7 +10,8 @@
 //! # Ok::<(), kiln::BuildError>(())
 //! ```
 //!
-//! Reading order: [`build`] (what a build does beside the engine), [`config`] (the user's own settings), [`summary`] (what it says afterwards), [`exit`] (the one table
+//! Reading order: [`build`] (what a build does beside the engine), [`stage`] (one stage as a command), [`farm`] (stages on other
+//! machines), [`graph`] (the stage graph for other schedulers), [`config`] (the user's own settings), [`summary`] (what it says afterwards), [`exit`] (the one table
 //! of exit codes), [`dependencies`] (depfiles, Cargo's lines), [`debug_images`],
 //! [`worker`] (the child process around xatlas), `command` (the command line, behind the feature `cli`).
 
@@ -22,7 +23,10 @@ pub mod config;
 pub mod debug_images;
 pub mod dependencies;
 pub mod exit;
+pub mod farm;
+pub mod graph;
 pub mod memory;
+pub mod stage;
 pub mod summary;
 pub mod worker;
 
@@ -31,6 +35,10 @@ pub use config::{Config, ConfigError};
 pub use debug_images::StagePicture;
 pub use dependencies::{cargo_lines, depfile};
 pub use exit::Exit;
-pub use kiln_engine::{Dependencies, Event, Inconsistency, NoObserver, Observer, Verification};
+pub use graph::Graph;
+pub use kiln_engine::{
+    Dependencies, Event, Executor, Inconsistency, Local, NoObserver, Observer, Slurm, SlurmOptions, Verification,
+};
 pub use kiln_pipeline::stages::Backend;
+pub use stage::{StageOutcome, StageRun};
 pub use summary::{AssetSummary, StageState, StageSummary, Summary, Untouched};

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::{continuous, corpus, fuzz, remote};
+use crate::{continuous, corpus, farm, fuzz, remote};
 
 const HELP: &str = "\
 cargo xtask long [PART]; all parts without one
@@ -14,6 +14,7 @@ cargo xtask long [PART]; all parts without one
   kills [--rounds N]                   builds killed at seeded moments on a damaged cache, 200 rounds unless told
   noop                                 builds without work and of one change, 10,000 assets, beside ninja (needs ninja)
   remote                               what a shared cache gives, and what one in trouble costs (S3 needs moto_server)
+  farm                                 100 assets through Slurm on this machine, a node killed; Bazel (needs root, slurm-wlm, munge)
   fuzz [--minutes N] [--target NAME]   each fuzz target for its share of N minutes, 60 unless told (needs cargo-fuzz)";
 
 /// Runs a part, or all of them.
@@ -26,6 +27,7 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<(), String> {
                 kills(root, &[]),
                 noop(root),
                 remote::run(root),
+                farm::run(root),
                 fuzz::run(root, &[]),
             ];
             let failed: Vec<String> = parts.into_iter().filter_map(Result::err).collect();
@@ -37,6 +39,7 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<(), String> {
             "kills" => kills(root, rest),
             "noop" => noop(root),
             "remote" => remote::run(root),
+            "farm" => farm::run(root),
             "fuzz" => fuzz::run(root, rest),
             _ => Err(HELP.into()),
         },

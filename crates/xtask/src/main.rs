@@ -3,6 +3,7 @@
 mod baked;
 mod continuous;
 mod corpus;
+mod farm;
 mod fuzz;
 mod long;
 mod pictures;
@@ -25,7 +26,7 @@ cargo xtask NAME
   corpus [NAME...]     build real models end to end (needs KILN_CORPUS); --out FILE writes the table
   baked                bake real models and compare them with their sources; writes docs/results/bake.md
   pictures ...         render models and containers side by side
-  long [PART]          what takes longer than CI allows: corpus, continuous, kills, remote, fuzz; logs go to docs/results/";
+  long [PART]          what takes longer than CI allows: corpus, continuous, kills, noop, remote, farm, fuzz; logs go to docs/results/";
 
 fn main() -> ExitCode {
     let mut args = std::env::args().skip(1);

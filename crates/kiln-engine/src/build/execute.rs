@@ -109,7 +109,7 @@ impl Session<'_> {
             outputs: self.keep_blobs(action, &outputs, again)?,
             discovered,
             report: outputs.report,
-            seconds,
+            seconds: if self.options.timed { seconds } else { 0.0 },
         };
         let record = self.keep_record(action, declared, record, again)?;
         self.done(action, manifest, Arc::new(record));

@@ -63,7 +63,7 @@ impl Session<'_> {
 
     /// Actions that `action` reads, each once, ascending.
     pub(super) fn upstream(&self, action: usize) -> BTreeSet<usize> {
-        self.plan.actions[action].inputs.iter().filter_map(|input| input.source.upstream()).collect()
+        self.plan.actions[action].upstream()
     }
 
     /// One thread: takes what is ready until nothing can become ready.

@@ -29,7 +29,9 @@ impl Store {
 
     /// Whether a blob seems to be there; only reading it tells.
     pub(crate) fn has_blob(&self, hash: &ContentHash, length: u64) -> bool {
-        fs::metadata(self.blob_path(hash)).is_ok_and(|metadata| is_length_of(&metadata, length))
+        let here =
+            |store: &Store| fs::metadata(store.blob_path(hash)).is_ok_and(|metadata| is_length_of(&metadata, length));
+        here(self) || self.layers.iter().any(here)
     }
 
     /// Keeps `bytes`, whose digest is `hash`.
@@ -56,14 +58,14 @@ impl Store {
         named
     }
 
-    /// The bytes whose digest is `hash`, if they are here.
+    /// The bytes whose digest is `hash`, if they are here or in a layer.
     pub(crate) fn blob(&self, hash: &ContentHash) -> Option<Arc<[u8]>> {
-        self.local_blob(hash)
+        std::iter::once(self).chain(&self.layers).find_map(|store| store.local_blob(hash))
     }
 
-    /// The bytes of an output, or `None` for a miss; what is not here is asked of the remote.
+    /// The bytes of an output, or `None` for a miss; what is neither here nor in a layer is asked of the remote.
     pub(crate) fn blob_of(&self, output: &OutputRecord) -> Option<Arc<[u8]>> {
-        self.local_blob(&output.hash).or_else(|| {
+        self.blob(&output.hash).or_else(|| {
             self.claimed_blob(&output.hash, output.length).ok()?;
             self.local_blob(&output.hash)
         })

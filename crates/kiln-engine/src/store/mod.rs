@@ -70,6 +70,9 @@ pub(crate) struct Store {
     claims: Mutex<BTreeSet<Fingerprint>>,
     /// Lists that came from the remote, with what they were asked for.
     guesses: Mutex<BTreeMap<Vec<String>, Fingerprint>>,
+    /// Caches that are read where this one lacks something, in order, and never written.
+    layers: Vec<Store>,
+    read_only: bool,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -91,7 +94,16 @@ impl Store {
             remote: None,
             claims: Mutex::default(),
             guesses: Mutex::default(),
+            layers: Vec::new(),
+            read_only: false,
         }
+    }
+
+    /// Reads these cache folders too, and writes nothing into them.
+    pub(crate) fn with_layers(mut self, folders: Vec<PathBuf>) -> Store {
+        let layer = |folder| Store { read_only: true, ..Store::new(folder) };
+        self.layers = folders.into_iter().map(layer).collect();
+        self
     }
 
     /// Asks `remote` for what is not here, while a build is at work.
@@ -189,7 +201,9 @@ impl Store {
 
     /// Warnings since the last call.
     pub(crate) fn take_warnings(&self) -> Vec<String> {
-        std::mem::take(&mut *lock(&self.warnings))
+        let mut warnings = std::mem::take(&mut *lock(&self.warnings));
+        warnings.extend(self.layers.iter().flat_map(Store::take_warnings));
+        warnings
     }
 
     fn temporary(&self) -> PathBuf {
@@ -212,6 +226,10 @@ impl Store {
     /// Moves a file aside that did not verify.
     fn quarantine(&self, path: &Path, what: &str) {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if self.read_only {
+            self.warn(format!("{}: damaged {what} {name} is not used", self.cache.display()));
+            return;
+        }
         let count = self.counter.fetch_add(1, Ordering::Relaxed);
         let aside = self.root.join("quarantine").join(format!("{name}-{:016x}-{count}", self.nonce));
         let moved = disk::create_folder(&self.root.join("quarantine")).and_then(|()| disk::rename(path, &aside));

@@ -29,9 +29,10 @@ impl Store {
         self.sharded("actions", &fingerprint.hex())
     }
 
-    /// The record of a run with this fingerprint; one that is not here is asked of the remote.
+    /// The record of a run with this fingerprint; one that is neither here nor in a layer is asked of the remote.
     pub(crate) fn record(&self, fingerprint: &Fingerprint) -> Option<Record> {
-        self.local_record(fingerprint).or_else(|| self.claimed_record(fingerprint))
+        let near = std::iter::once(self).chain(&self.layers).find_map(|store| store.local_record(fingerprint));
+        near.or_else(|| self.claimed_record(fingerprint))
     }
 
     pub(super) fn local_record(&self, fingerprint: &Fingerprint) -> Option<Record> {
@@ -70,10 +71,13 @@ impl Store {
         paths.iter().filter_map(|path| self.read_sealed(path, "list")).collect()
     }
 
-    /// Local lists, then, if those are used up, the remote's.
+    /// Local lists, then the layers', then, if those are used up, the remote's.
     pub(crate) fn lists(&self, declared: &Fingerprint) -> impl Iterator<Item = Vec<String>> {
         let declared = *declared;
-        self.local_lists(&declared).into_iter().chain(self.claimed_lists(declared))
+        self.local_lists(&declared)
+            .into_iter()
+            .chain(self.layers.iter().flat_map(move |layer| layer.local_lists(&declared)))
+            .chain(self.claimed_lists(declared))
     }
 
     /// Keeps a list of files.

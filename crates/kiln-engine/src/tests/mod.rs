@@ -12,6 +12,7 @@
 mod crash;
 mod damage;
 mod noop;
+mod part;
 mod reasons;
 mod rebuild;
 mod remote;

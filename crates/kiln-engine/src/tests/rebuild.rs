@@ -388,6 +388,7 @@ fn events_tell_the_course_of_a_build() {
                 Event::Progress { action, fraction, label } => format!("progress {action} {fraction} {label}"),
                 Event::Finished { action, bytes, .. } => format!("finished {action} {bytes}"),
                 Event::TargetFinished { target, .. } => format!("target {target}"),
+                Event::Elsewhere(progress) => format!("elsewhere {progress:?}"),
                 Event::Warning { action, message } => format!("warning {action:?} {message}"),
             };
             self.0.lock().unwrap().push(line);

@@ -351,7 +351,7 @@ pub fn render_plain(source: &str, diagnostic: &Diagnostic) -> String {
 }
 
 /// The candidate nearest to a misspelt name, if one is near enough to be meant.
-pub(crate) fn nearest<'c>(name: &str, candidates: impl IntoIterator<Item = &'c str>) -> Option<&'c str> {
+pub fn nearest<'c>(name: &str, candidates: impl IntoIterator<Item = &'c str>) -> Option<&'c str> {
     let lower = name.to_lowercase();
     let limit = (name.chars().count() / 3).max(2);
     let mut best: Option<(usize, &str)> = None;

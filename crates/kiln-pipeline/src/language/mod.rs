@@ -49,7 +49,7 @@ use std::io;
 use std::sync::Arc;
 
 pub use compose::LANGUAGE;
-pub use diagnostic::{Code, Diagnostic, Family, Origin, Severity, Source, Sources, has_errors, render_plain};
+pub use diagnostic::{Code, Diagnostic, Family, Origin, Severity, Source, Sources, has_errors, nearest, render_plain};
 pub use inputs::{AssetBuild, DirEntry, Expansion, expand_inputs};
 pub use length::{Length, Unit};
 pub use options::{Kind, LevelBudget};

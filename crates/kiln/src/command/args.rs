@@ -41,8 +41,10 @@ pub(crate) enum Command {
     Compare(CompareArgs),
     /// Show what the importer sees in a model and would change, or what this machine offers
     Doctor(DoctorArgs),
-    /// Print every stage kind with its keys, types and defaults
+    /// Print every stage kind with its keys, types and defaults; or run one stage of one asset (`kiln stage run`)
     Stage(StageArgs),
+    /// Print the stage graph: every stage of every asset with the command that runs it, for other schedulers and for Ninja
+    Plan(GraphArgs),
     /// Print a CMake module with the function kiln_bake()
     CmakeModule,
     /// Look after a cache: what lies in it, what may go, whether it is whole
@@ -85,6 +87,38 @@ pub(crate) struct PlanArgs {
     pub(crate) cache: Option<PathBuf>,
 }
 
+/// What part of a pipeline, and which caches beside the own one.
+#[derive(Args, Debug, Clone)]
+pub(crate) struct PartArgs {
+    /// This model alone, as `kiln plan` names it; may be repeated
+    #[arg(long = "asset", value_name = "INPUT")]
+    pub(crate) assets: Vec<String>,
+    /// A cache folder that is read where the own one lacks something, and never written; may be repeated
+    #[arg(long, value_name = "DIR")]
+    pub(crate) with: Vec<PathBuf>,
+}
+
+/// A cache that others share.
+#[derive(Args, Debug, Clone)]
+pub(crate) struct RemoteArgs {
+    /// A cache that others share: a folder, s3://, gs://, az://, http://; `off` for none [default: KILN_REMOTE, else the configuration]
+    #[arg(long, value_name = "URL")]
+    pub(crate) remote: Option<String>,
+    /// Take from the remote, or take and send [default: KILN_REMOTE_MODE, else the configuration, else read]
+    #[arg(long, value_enum, value_name = "MODE")]
+    pub(crate) remote_mode: Option<RemoteModeArg>,
+}
+
+/// Where stages run.
+#[derive(ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum ExecutorArg {
+    /// In this process
+    #[default]
+    Local,
+    /// As Slurm job arrays; the cache must be a folder that all nodes see, [slurm] of the configuration says the rest
+    Slurm,
+}
+
 /// `kiln build`.
 #[derive(Args, Debug)]
 pub(crate) struct BuildArgs {
@@ -93,6 +127,14 @@ pub(crate) struct BuildArgs {
     pub(crate) pipelines: Vec<PathBuf>,
     #[command(flatten)]
     pub(crate) plan: PlanArgs,
+    #[command(flatten)]
+    pub(crate) part: PartArgs,
+    /// Where stages run
+    #[arg(long, value_enum, default_value_t, value_name = "EXECUTOR", conflicts_with_all = ["verify", "watch"])]
+    pub(crate) on: ExecutorArg,
+    /// With `--on slurm`: assets an array element [default: the configuration's, else 1]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) batch: Option<u32>,
     /// How many stages run at once [default: the number of cores]
     #[arg(long, short, value_name = "N")]
     pub(crate) jobs: Option<usize>,
@@ -119,12 +161,8 @@ pub(crate) struct BuildArgs {
     /// metrics that look from views
     #[arg(long, value_name = "DIR")]
     pub(crate) debug_images: Option<PathBuf>,
-    /// A cache that others share: a folder, s3://, gs://, az://, http://; `off` for none [default: KILN_REMOTE, else the configuration]
-    #[arg(long, value_name = "URL")]
-    pub(crate) remote: Option<String>,
-    /// Take from the remote, or take and send [default: KILN_REMOTE_MODE, else the configuration, else read]
-    #[arg(long, value_enum, value_name = "MODE")]
-    pub(crate) remote_mode: Option<RemoteModeArg>,
+    #[command(flatten)]
+    pub(crate) remote: RemoteArgs,
     /// `warnings`: exit 1 when anything was repaired or replaced
     #[arg(long, value_name = "WHAT", value_parser = ["warnings"])]
     pub(crate) deny: Option<String>,
@@ -348,7 +386,85 @@ pub(crate) struct DoctorArgs {
 
 /// `kiln stage`.
 #[derive(Args, Debug)]
+#[command(args_conflicts_with_subcommands = true)]
 pub(crate) struct StageArgs {
+    #[command(subcommand)]
+    pub(crate) command: Option<StageCommand>,
     /// One kind only
     pub(crate) kind: Option<String>,
+}
+
+/// What to do with a stage.
+#[derive(Subcommand, Debug)]
+pub(crate) enum StageCommand {
+    /// Run one stage of one asset: what is before it comes from the cache, what it gives goes there
+    Run(StageRunArgs),
+}
+
+/// `kiln stage run`.
+#[derive(Args, Debug)]
+pub(crate) struct StageRunArgs {
+    /// The pipeline
+    pub(crate) pipeline: PathBuf,
+    /// The model, as `kiln plan` names it; needed where the pipeline has several
+    #[arg(long, value_name = "INPUT")]
+    pub(crate) asset: Option<String>,
+    /// The stage, as `kiln plan` names it, such as lods or lods/collapse
+    #[arg(long, value_name = "STAGE")]
+    pub(crate) stage: String,
+    #[command(flatten)]
+    pub(crate) plan: PlanArgs,
+    /// A cache folder that is read where the own one lacks something, and never written; may be repeated
+    #[arg(long, value_name = "DIR")]
+    pub(crate) with: Vec<PathBuf>,
+    /// Fail where a stage before it would have to run
+    #[arg(long)]
+    pub(crate) only: bool,
+    /// Leave what the stage gives, alone and without times, in this cache folder; what is before it comes from `--with`
+    #[arg(long, value_name = "DIR", conflicts_with = "cache")]
+    pub(crate) fragment: Option<PathBuf>,
+    /// Fail unless kind, version, parameters and machine are those of the plan that gave this digest
+    #[arg(long, value_name = "DIGEST")]
+    pub(crate) expect: Option<String>,
+    /// Write names and hashes of what the stage gives; written only if it differs
+    #[arg(long, value_name = "FILE")]
+    pub(crate) receipt: Option<PathBuf>,
+    /// Write the files that the stage itself read as a GCC-style depfile of the receipt; written only if it differs
+    #[arg(long, value_name = "FILE", requires = "receipt")]
+    pub(crate) depfile: Option<PathBuf>,
+    /// Threads, where a stage before it has to run as well [default: the number of cores]
+    #[arg(long, short, value_name = "N")]
+    pub(crate) jobs: Option<usize>,
+    /// A cache that others share; without this flag none is asked, whatever the configuration says
+    #[arg(long, value_name = "URL")]
+    pub(crate) remote: Option<String>,
+    /// Take from the remote, or take and send
+    #[arg(long, value_enum, value_name = "MODE", requires = "remote")]
+    pub(crate) remote_mode: Option<RemoteModeArg>,
+}
+
+/// `kiln plan`.
+#[derive(Args, Debug)]
+pub(crate) struct GraphArgs {
+    /// The pipeline
+    pub(crate) pipeline: PathBuf,
+    #[command(flatten)]
+    pub(crate) plan: PlanArgs,
+    #[command(flatten)]
+    pub(crate) part: PartArgs,
+    /// Print JSON
+    #[arg(long, conflicts_with = "ninja")]
+    pub(crate) json: bool,
+    /// Print a build.ninja
+    #[arg(long)]
+    pub(crate) ninja: bool,
+    /// Write it into FILE, only if it differs; a build.ninja then makes itself again when the pipeline or its folders change
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) output: Option<PathBuf>,
+    /// What commands begin with
+    #[arg(long, value_name = "PROGRAM", default_value = "kiln")]
+    pub(crate) program: String,
+    /// GPU stages at a time, in a build.ninja
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) gpus: u32,
 }

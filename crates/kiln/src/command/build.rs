@@ -6,12 +6,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use kiln_engine::{ContentHash, Inconsistency, RemoteOptions, Verification};
+use kiln_engine::{ContentHash, Executor, Inconsistency, RemoteOptions, Verification};
 use kiln_pipeline::plan::{PlanError, folder_of};
 
 use super::args::BuildArgs;
 use super::watch::{self, Once, Watched};
-use super::{complain, data, diagnostics, progress};
+use super::{complain, data, diagnostics, farm, progress};
 use crate::build::BuildError;
 use crate::config::Config;
 use crate::debug_images::StagePicture;
@@ -19,10 +19,44 @@ use crate::exit::Exit;
 use crate::summary::{StageState, Summary, seconds};
 
 /// How long a cancelled build may take to end by itself, and how long to finish a file.
-const PATIENCE: Duration = Duration::from_millis(700);
+pub(super) const PATIENCE: Duration = Duration::from_millis(700);
+
+/// How long a cancelled build may take whose stages run elsewhere.
+const FARM_PATIENCE: Duration = Duration::from_secs(30);
 
 /// Builds every pipeline in turn; the gravest exit code wins.
 pub(super) fn run(args: &BuildArgs) -> Exit {
+    let mode = args.remote.remote_mode.map(Into::into);
+    let settings = Config::load().and_then(|config| {
+        let remote = config.remote(args.remote.remote.as_deref(), mode)?;
+        Ok((remote, farm::executor(args, &config)?))
+    });
+    let (remote, executor) = match settings {
+        Ok((remote, executor)) => (remote, executor),
+        Err(error) => return complain(Exit::Usage, &error.to_string()),
+    };
+    // What runs on other machines is asked to end by its scheduler, which takes its time.
+    let cancel = cancelled_by_signal(if executor.is_local() { PATIENCE } else { FARM_PATIENCE });
+    let means = Means { remote, executor };
+    if !args.watch {
+        return all(args, &means, &cancel, None).exit;
+    }
+    let mut last = None;
+    watch::run(&cancel, &mut || {
+        let once = all(args, &means, &cancel, last);
+        last = Some(once.exit);
+        once
+    })
+}
+
+/// What the configuration and the command line give a build beside the pipeline.
+struct Means {
+    remote: Option<RemoteOptions>,
+    executor: Box<dyn Executor>,
+}
+
+/// A flag that Ctrl-C sets; after `patience` the process ends whatever runs.
+pub(super) fn cancelled_by_signal(patience: Duration) -> Arc<AtomicBool> {
     let cancel = Arc::new(AtomicBool::new(false));
     let on_signal = Arc::clone(&cancel);
     // A second Ctrl-C ends the process at once: killing kiln at any moment loses nothing.
@@ -31,53 +65,41 @@ pub(super) fn run(args: &BuildArgs) -> Exit {
             std::process::exit(130);
         }
         eprintln!("cancelling; what runs is asked to end");
-        std::thread::spawn(end_soon);
+        std::thread::spawn(move || end_soon(patience));
     });
     if let Err(error) = handler {
         eprintln!("warning: Ctrl-C will end the build at once: {error}");
     }
-    let mode = args.remote_mode.map(Into::into);
-    let remote = match Config::load().and_then(|config| config.remote(args.remote.as_deref(), mode)) {
-        Ok(remote) => remote,
-        Err(error) => return complain(Exit::Usage, &error.to_string()),
-    };
-    let remote = remote.as_ref();
-    if !args.watch {
-        return all(args, remote, &cancel, None).exit;
-    }
-    let mut last = None;
-    watch::run(&cancel, &mut || {
-        let once = all(args, remote, &cancel, last);
-        last = Some(once.exit);
-        once
-    })
+    cancel
 }
 
 /// Ends the process if the build does not end by itself: some stages take minutes and do not look up. Nothing of them is kept; files
 /// that are just being written are finished first.
-fn end_soon() {
-    std::thread::sleep(PATIENCE);
+fn end_soon(patience: Duration) {
+    std::thread::sleep(patience);
     kiln_engine::quiesce(PATIENCE);
     eprintln!("cancelled; what still ran was left");
     std::process::exit(Exit::Failed.code().into());
 }
 
 /// Builds every pipeline once; `last`: how the build before it ended, while watching.
-fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool>, last: Option<Exit>) -> Once {
+fn all(args: &BuildArgs, means: &Means, cancel: &Arc<AtomicBool>, last: Option<Exit>) -> Once {
     let mut worst = Exit::Done;
     let mut reports = Vec::new();
     let mut depfile = String::new();
     let mut watched = Watched::default();
     let mut all_known = true;
     // A remote that is asked for by name is what is to be verified; one of the configuration is not.
-    let checks_remote = args.verify && args.remote.is_some() && remote.is_some();
+    let checks_remote = args.verify && args.remote.remote.is_some() && means.remote.is_some();
     for pipeline in &args.pipelines {
         let mut build = args.plan.build(pipeline);
         build.jobs = args.jobs;
         build.keep_going = args.keep_going;
         build.dry_run = args.dry_run;
-        build.remote = remote.cloned();
+        build.remote = means.remote.clone();
         build.check_claims = checks_remote;
+        build.assets.clone_from(&args.part.assets);
+        build.with.clone_from(&args.part.with);
         build.debug_pictures = args.debug_images.is_some();
         build.brief = !args.json;
         build.dependencies = args.depfile.is_some() || args.watch;
@@ -89,7 +111,7 @@ fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool
             worst = worst.max(result.map_or_else(|error| failed(&error), |found| show_verified(pipeline, &found)));
             continue;
         }
-        let result = build.run(&progress);
+        let result = build.run_on(&*means.executor, &progress);
         progress.finish();
         let exit = match result {
             Ok(outcome) => {
@@ -135,8 +157,7 @@ fn all(args: &BuildArgs, remote: Option<&RemoteOptions>, cancel: &Arc<AtomicBool
     }
     if let Some(path) = &args.depfile
         && !depfile.is_empty()
-        && fs::read(path).ok().as_deref() != Some(depfile.as_bytes())
-        && let Err(exit) = super::write(path, depfile.as_bytes())
+        && let Err(exit) = super::write_if_new(path, depfile.as_bytes())
     {
         worst = worst.max(exit);
     }
@@ -206,7 +227,8 @@ pub(super) fn failed(error: &BuildError) -> Exit {
         diagnostics::show(list, sources);
         return if plan.is_usage() { Exit::Usage } else { Exit::Failed };
     }
-    let exit = if matches!(error, BuildError::Remote(_)) { Exit::Usage } else { Exit::Failed };
+    let usage = matches!(error, BuildError::Remote(_) | BuildError::NoAsset { .. } | BuildError::NoStage { .. });
+    let exit = if usage { Exit::Usage } else { Exit::Failed };
     complain(exit, &error.to_string())
 }
 

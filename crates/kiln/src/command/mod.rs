@@ -7,8 +7,12 @@ mod compare;
 mod container;
 mod diagnostics;
 mod doctor;
+mod farm;
 mod init;
+mod ninja;
+mod plan;
 mod progress;
+mod stage;
 mod textures;
 mod watch;
 mod why;
@@ -20,7 +24,7 @@ use clap::Parser;
 use clap::error::ErrorKind;
 
 use crate::exit::Exit;
-use args::{BackendArg, Cli, Command, PlanArgs, RemoteModeArg};
+use args::{BackendArg, Cli, Command, PlanArgs, RemoteModeArg, StageCommand};
 
 /// Runs the command line of this process.
 pub fn main() -> ExitCode {
@@ -46,22 +50,14 @@ pub fn main() -> ExitCode {
         Command::Compare(args) => compare::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Cache(args) => cache::run(&args),
-        Command::Stage(args) => stage(args.kind.as_deref()),
+        Command::Stage(args) => match &args.command {
+            Some(StageCommand::Run(run)) => stage::run(run),
+            None => stage::kinds(args.kind.as_deref()),
+        },
+        Command::Plan(args) => plan::run(&args),
         Command::CmakeModule => data(include_str!("kiln.cmake")),
     }
     .into()
-}
-
-/// Prints the reference of stage kinds and their keys.
-fn stage(kind: Option<&str>) -> Exit {
-    use kiln_pipeline::language::reference;
-    match kind {
-        None => data(&reference::reference()),
-        Some(kind) => match reference::help(kind) {
-            Some(text) => data(&text),
-            None => complain(Exit::Usage, &format!("there is no stage kind `{kind}`; `kiln stage` lists them")),
-        },
-    }
 }
 
 /// Data for programs goes to standard output; a reader that went away is no failure.
@@ -96,6 +92,18 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), Exit> {
         let _ = std::fs::remove_file(&beside);
         complain(Exit::Failed, &format!("cannot write {}: {error}", path.display()))
     })
+}
+
+/// Writes a file only if it would differ; folders are made.
+fn write_if_new(path: &Path, bytes: &[u8]) -> Result<(), Exit> {
+    if std::fs::read(path).is_ok_and(|there| there == bytes) {
+        return Ok(());
+    }
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder)
+            .map_err(|error| complain(Exit::Failed, &format!("cannot create {}: {error}", folder.display())))?;
+    }
+    write(path, bytes)
 }
 
 impl From<BackendArg> for crate::Backend {

@@ -15,6 +15,14 @@ pub(super) struct Progress {
     bars: Option<MultiProgress>,
     explain: bool,
     running: Mutex<BTreeMap<usize, Running>>,
+    elsewhere: Mutex<Elsewhere>,
+}
+
+/// What was last said of tasks on other machines.
+#[derive(Default)]
+struct Elsewhere {
+    bar: Option<ProgressBar>,
+    ended: Option<usize>,
 }
 
 struct Running {
@@ -25,7 +33,7 @@ struct Running {
 impl Progress {
     pub(super) fn new(explain: bool) -> Progress {
         let bars = std::io::stderr().is_terminal().then(MultiProgress::new);
-        Progress { bars, explain, running: Mutex::default() }
+        Progress { bars, explain, running: Mutex::default(), elsewhere: Mutex::default() }
     }
 
     /// Takes the bars away.
@@ -33,6 +41,30 @@ impl Progress {
         if let Some(bars) = &self.bars {
             // Nothing is lost if the terminal refuses: the summary follows.
             let _ = bars.clear();
+        }
+    }
+
+    /// How far tasks on other machines are: a bar, or a line for each twentieth.
+    fn elsewhere(&self, progress: &kiln_engine::Progress) {
+        let mut shown = self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner);
+        let (ended, all) = (progress.done + progress.failed, progress.tasks);
+        let failed = if progress.failed > 0 { format!(", {} failed", progress.failed) } else { String::new() };
+        let note = if progress.note.is_empty() { String::new() } else { format!(" ({})", progress.note) };
+        let text = format!("{ended} of {all} stages elsewhere are done{failed}{note}");
+        match &self.bars {
+            Some(bars) => {
+                let bar = shown.bar.get_or_insert_with(|| bar(bars.add(ProgressBar::new(all as u64))));
+                bar.set_position(ended as u64);
+                bar.set_message(text);
+            }
+            None if shown
+                .ended
+                .is_none_or(|before| ended != before && (ended == all || ended >= before + all / 20)) =>
+            {
+                eprintln!("{text}");
+                shown.ended = Some(ended);
+            }
+            None => {}
         }
     }
 
@@ -111,6 +143,7 @@ impl Observer for Progress {
                     _ => {}
                 }
             }
+            Event::Elsewhere(progress) => self.elsewhere(progress),
             Event::TargetFinished { state: TargetState::Failed(error), .. } => self.line(&format!("error: {error}")),
             _ => {}
         }

@@ -9,6 +9,8 @@
 //! Then models and pictures change, each right after a build without work that it is compared with, and the stages that run are
 //! counted. `cargo xtask long noop` writes `docs/results/noop.md` with it.
 
+#![allow(clippy::print_stdout, reason = "the table is this program's output")]
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::time::{Duration, Instant};

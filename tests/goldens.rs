@@ -4,7 +4,7 @@
 //! fingerprint and another digest means that the stage gives other bytes for the same inputs, parameters and version: raise its
 //! `VERSION`. After a rightful change, `KILN_BLESS=1 cargo test goldens` writes the file anew; it refuses the case above.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
@@ -62,12 +62,16 @@ fn measure(name: &str, pipeline: &Path, lines: &mut BTreeMap<String, (String, St
     }
 }
 
+/// The kind in `fixture | stage | kind vN`.
+fn kind_of(key: &str) -> &str {
+    key.rsplit(" | ").next().and_then(|kind| kind.split(" v").next()).unwrap_or_default()
+}
+
 /// What to do about stages that give other bytes without a new version. What comes after one was given other inputs, and is none.
 fn advice(broken: &[&String]) -> String {
     let mut text = String::from("stages that give other bytes for the same inputs, parameters and version:\n");
     for key in broken {
-        let kind = key.rsplit(" | ").next().and_then(|kind| kind.split(" v").next()).unwrap_or_default();
-        let place = VERSIONS.iter().find(|(known, _)| *known == kind).map_or("its VERSION", |(_, place)| place);
+        let place = VERSIONS.iter().find(|(known, _)| *known == kind_of(key)).map_or("its VERSION", |(_, place)| place);
         writeln!(text, "  {key}: raise {place}").unwrap();
     }
     text.push_str(
@@ -90,6 +94,12 @@ fn no_stage_gives_other_bytes_without_a_new_version() {
         })
         .collect();
     let now = measured();
+    let covered: BTreeSet<&str> = now.keys().map(|key| kind_of(key)).collect();
+    assert_eq!(
+        covered,
+        VERSIONS.iter().map(|(kind, _)| *kind).collect(),
+        "a kind of stage without a golden, or without a place"
+    );
     let same_inputs = |(key, (fingerprint, digest)): &(&String, &(String, String))| {
         golden.get(*key).is_some_and(|(old, given)| old == fingerprint && given != digest)
     };

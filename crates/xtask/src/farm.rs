@@ -128,7 +128,9 @@ impl Farm {
              | build | exit | wall s | ms a stage | bytes equal | seconds of the run in which Slurm had work |\n| --- | --: | --: | --: | --- | --: |\n\
              | local, 2 jobs | {} | {:.2} | {:.1} | - | - |\n",
             std::thread::available_parallelism().map_or(0, usize::from),
-            call(Command::new("sbatch").arg("--version"))?.trim().trim_start_matches("slurm-wlm "),
+            call(Command::new("sbatch").arg("--version").env("SLURM_CONF", self.folder.join("slurm/slurm.conf")))?
+                .trim()
+                .trim_start_matches("slurm-wlm "),
             alone.code,
             alone.seconds,
             1e3 * alone.seconds / all as f64,

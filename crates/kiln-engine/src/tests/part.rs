@@ -104,7 +104,8 @@ fn a_failed_task_fails_with_its_message_and_runs_nothing() {
     let tasks = tasks(&plan, &toy.engine().build(&plan, &dry, &NoObserver).unwrap());
     let failures = vec![Failure { task: 1, message: "the node died".into() }];
     settle(&mut plan, &tasks, &Executed { failures, cancelled: false });
-    let report = toy.engine().build(&plan, &toy.options, &NoObserver).unwrap();
+    let options = BuildOptions { keep_going: true, ..toy.options.clone() };
+    let report = toy.engine().build(&plan, &options, &NoObserver).unwrap();
     assert_eq!(*toy.ran.lock().unwrap(), ["import"]);
     assert!(matches!(&report.actions[STRIP].state, ActionState::Failed(error) if error.to_string() == "the node died"));
     assert!(matches!(report.actions[SHOUT].state, ActionState::Skipped { because: Some(STRIP) }));

@@ -112,7 +112,9 @@ impl Farm {
     }
 
     fn measure(&self) -> Result<String, String> {
-        let mut text = String::new();
+        let load = fs::read_to_string("/proc/loadavg").unwrap_or_default();
+        let mut text =
+            format!("Load of the machine when it began: {}.\n\n", load.split(' ').next().unwrap_or_default());
         let all = ASSETS * STAGES;
         fs::create_dir_all(&self.folder).map_err(|e| e.to_string())?;
         // One core a node: as many stages at a time as the local build has.
@@ -125,7 +127,7 @@ impl Farm {
             text,
             "{ASSETS} assets of {STAGES} stages (models of a few triangles with a picture each, so that nearly all is overhead), two \
              nodes of one core on one machine of {} cores; Slurm {}.\n\n\
-             | build | exit | wall s | ms a stage | bytes equal | seconds of the run in which Slurm had work |\n| --- | --: | --: | --: | --- | --: |\n\
+             | build | exit | wall s | ms a stage | bytes equal | s from the first result to the last |\n| --- | --: | --: | --: | --- | --: |\n\
              | local, 2 jobs | {} | {:.2} | {:.1} | - | - |\n",
             std::thread::available_parallelism().map_or(0, usize::from),
             call(Command::new("sbatch").arg("--version").env("SLURM_CONF", self.folder.join("slurm/slurm.conf")))?
@@ -279,6 +281,7 @@ fn bazel(root: &Path) -> String {
     let line = said.lines().find(|line| line.starts_with("bazel: ") || line.starts_with("skipped: "));
     match line {
         Some(line) if output.status.success() => {
+            let line = line.trim_start_matches("bazel: ");
             format!("`examples/bazel`, two assets of five stages and a container each: {line}.")
         }
         _ => format!("The test failed:\n\n```\n{said}\n```"),

@@ -226,7 +226,7 @@ pub(crate) fn run(root: &Path) -> Result<(), String> {
     }
     text.push_str(
         "\nEvery machine's containers are equal, byte for byte.\n\n## Servers in trouble\n\nThe same build from an empty cache with a server that does this to every \
-         request, default patience (15 s lost at most, 5 s a request). Each ended with exit 0, one warning, and the same bytes.\n\n\
+         request, default patience (15 s lost at most, 5 s a request). Each ended as the build without one does, with one warning more, and the same bytes.\n\n\
          | server | seconds | beyond the build without one | failed requests |\n| --- | --: | --: | --: |\n",
     );
     let dead = std::net::TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr());

@@ -139,7 +139,8 @@ impl Bench {
             .output()
             .map_err(|e| format!("{}: {e}", self.kiln.display()))?;
         let seconds = start.elapsed().as_secs_f64();
-        if !output.status.success() {
+        // 1: some ball cannot be simplified as far as asked, which is nothing to a cache.
+        if !matches!(output.status.code(), Some(0 | 1)) {
             return Err(format!("{args:?}: {}", String::from_utf8_lossy(&output.stderr)));
         }
         let report = serde_json::from_slice(&output.stdout).map_err(|e| e.to_string())?;
@@ -154,8 +155,8 @@ impl Bench {
         let person = self.machine("elsewhere/person")?;
         let taken = self.build(&person, config, &remote)?;
         same(kind, &person, expected)?;
-        if taken.ran() > 0 || taken.report["warnings"] != Value::Array(Vec::new()) {
-            return Err(format!("{kind}: the second machine ran {} stages: {}", taken.ran(), taken.report["warnings"]));
+        if taken.ran() > 0 || taken.of_remote("failures") > 0 {
+            return Err(format!("{kind}: the second machine ran {} stages: {}", taken.ran(), taken.report["remote"]));
         }
         let _ = fs::remove_dir_all(person.join("out"));
         let again = self.build(&person, config, &remote)?;
@@ -225,7 +226,7 @@ pub(crate) fn run(root: &Path) -> Result<(), String> {
     }
     text.push_str(
         "\nEvery machine's containers are equal, byte for byte.\n\n## Servers in trouble\n\nThe same build from an empty cache with a server that does this to every \
-         request, default patience (15 s lost at most, 5 s a request). Each ended with exit 0, one warning, and the same bytes.\n\n\
+         request, default patience (15 s lost at most, 5 s a request). Each ended as the build without one does, with one warning more, and the same bytes.\n\n\
          | server | seconds | beyond the build without one | failed requests |\n| --- | --: | --: | --: |\n",
     );
     let dead = std::net::TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr());
@@ -238,7 +239,9 @@ pub(crate) fn run(root: &Path) -> Result<(), String> {
         let machine = bench.machine("victim")?;
         let built = bench.build(&machine, "", &["--remote", &url])?;
         same(name, &machine, &expected)?;
-        let warnings = built.report["warnings"].as_array().map_or(0, Vec::len);
+        let warnings = built.report["warnings"].as_array().into_iter().flatten();
+        let warnings =
+            warnings.filter(|warning| warning.as_str().is_some_and(|text| text.starts_with("remote cache"))).count();
         if warnings != 1 || built.of_remote("hits") > 0 {
             return Err(format!("{name}: {warnings} warnings: {}", built.report["warnings"]));
         }

@@ -419,7 +419,8 @@ struct Loopback {
 }
 
 impl Loopback {
-    /// `None` where it cannot be started.
+    /// `None`, and a word, where it cannot be started: it needs packages, root, and ports that a machine may not give.
+    /// `KILN_REQUIRE_SLURM=1` makes that a failure.
     fn start() -> Option<Loopback> {
         let there = |name: &str| {
             let folders = ["/usr/sbin", "/usr/bin", "/usr/local/sbin", "/usr/local/bin"];
@@ -427,10 +428,14 @@ impl Loopback {
         };
         let root = Command::new("id").arg("-u").output().is_ok_and(|output| output.stdout == b"0\n");
         let all = root && ["slurmctld", "slurmd", "munged", "sbatch"].iter().all(|name| there(name));
-        needs(all.then_some(()), "slurm-wlm and munge, and root to start them")?;
-        let loopback = Loopback { folder: tempfile::tempdir().unwrap() };
-        assert!(loopback.script("start"), "Slurm does not start");
-        Some(loopback)
+        let start =
+            || Some(Loopback { folder: tempfile::tempdir().unwrap() }).filter(|loopback| loopback.script("start"));
+        let loopback = if all { start() } else { None };
+        if loopback.is_none() {
+            assert!(std::env::var_os("KILN_REQUIRE_SLURM").is_none(), "Slurm does not start");
+            eprintln!("skipped: needs slurm-wlm and munge, root to start them, and ports for two nodes");
+        }
+        loopback
     }
 
     fn script(&self, what: &str) -> bool {

@@ -43,8 +43,7 @@
 //! ```
 //!
 //! # Limits
-//! Two caches that write one output
-//! at the same moment are not kept apart: the lock lies in the cache.
+//! Two caches that write one output at the same moment are not kept apart: the lock lies in the cache.
 //!
 //! # Sources
 //! The lessons of Ninja, n2, Bazel, Buck2, cargo, ccache and sccache; A. Mokhov, N. Mitchell, S. Peyton Jones, "Build systems

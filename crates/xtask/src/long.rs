@@ -61,6 +61,7 @@ fn kills(root: &Path, args: &[String]) -> Result<(), String> {
     let output = Command::new("cargo")
         .args(["test", "--release", "--locked", "-p", "kiln", "--test", "kiln-tests", "crash", "--", "--nocapture"])
         .env("KILN_CRASH_ROUNDS", rounds.to_string())
+        .env("KILN_REQUIRE_TMPFS", "1")
         .current_dir(root)
         .output()
         .map_err(|e| e.to_string())?;

@@ -8,7 +8,7 @@ use kiln_pipeline::language::Length;
 
 /// The offline LOD baker: a TOML pipeline merges, simplifies, unwraps, bakes and packs a model, and redoes only what changed.
 #[derive(Parser, Debug)]
-#[command(name = "kiln", version, about, after_help = AFTER_HELP, max_term_width = 120)]
+#[command(name = "kiln", version, after_help = AFTER_HELP, max_term_width = 120)]
 pub(crate) struct Cli {
     /// What to do.
     #[command(subcommand)]

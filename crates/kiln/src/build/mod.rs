@@ -1,24 +1,29 @@
 //! A build of one pipeline: the short way if nothing changed, else plan, run, and say what happened.
+//!
+//! Parts: [`part`] (what it came to for one asset, and what the next build is told of it), [`why`].
+
+mod part;
+mod why;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex, PoisonError};
 
 use kiln_engine::{
-    ActionError, ActionState, BuildOptions, BuildReport, ContentHash, Dependencies, Engine, EngineError, Event,
-    Executor, ExecutorError, Group, Local, Look, Memory, Observer, Remote, RemoteError, RemoteOptions, TargetState,
-    Verdict, Verification,
+    BuildOptions, BuildReport, ContentHash, Dependencies, Engine, EngineError, Executor, ExecutorError, Local, Look,
+    Observer, Remote, RemoteError, RemoteOptions, Verification,
 };
 use kiln_pipeline::language::{Diagnostic, Sources};
-use kiln_pipeline::plan::{PlanError, PlanOptions, Planned, PlannedAsset, folder_of, plan};
-use kiln_pipeline::stages::{Backend, StageError};
-use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use kiln_pipeline::plan::{PlanError, PlanOptions, Planned, folder_of, plan};
+use kiln_pipeline::stages::Backend;
 
 use crate::claims::{self, Built};
 use crate::debug_images::{StagePicture, debug_pictures};
-use crate::summary::{AssetSummary, StageState, StageSummary, Summary, Untouched};
-use crate::{farm, memory, worker};
+use crate::summary::{AssetSummary, Summary, Untouched};
+use crate::{farm, worker};
+pub(crate) use part::defects;
+use part::{Brief, Part, Peaks, device_of, memory, part};
+pub use why::{WhyOutcome, WhyStage, why};
 
 /// What to build, and how. Every field has the default that the command has.
 #[derive(Clone, Debug)]
@@ -281,10 +286,10 @@ impl Build {
         if !local && !self.dry_run {
             farm::execute(self, executor, &mut engine, &mut planned, observer)?;
         }
-        let peaks = Peaks { inner: observer, peaks: Mutex::new(vec![None; planned.plan.actions.len()]) };
+        let peaks = Peaks::new(observer, planned.plan.actions.len());
         let Built { report, remote, lies } =
             claims::build(&mut engine, &planned.plan, &options, &peaks, self.check_claims)?;
-        let peaks = peaks.peaks.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let peaks = peaks.into_peaks();
         let parts: Vec<Part> = planned.assets.iter().map(|asset| part(asset, &report, &peaks)).collect();
         let kept = match self.dry_run || !self.assets.is_empty() {
             true => Ok(()),
@@ -388,242 +393,6 @@ impl Build {
     }
 }
 
-/// What is at hand of an asset about which nothing changed.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct Brief {
-    stages: usize,
-    /// Classes of device that its stages depend on.
-    device: String,
-    warnings: Vec<String>,
-    short: Vec<String>,
-}
-
-impl Brief {
-    fn parse(text: &str) -> Brief {
-        serde_json::from_str(text).unwrap_or_default()
-    }
-}
-
-/// What a build came to for one asset.
-struct Part {
-    asset: AssetSummary,
-    brief: Brief,
-    /// Warnings of this build alone.
-    passing: Vec<String>,
-    errors: Vec<String>,
-}
-
-/// The classes of device that an asset's stages depend on.
-fn device_of(planned: &Planned, asset: &PlannedAsset) -> String {
-    let classes = asset.actions.iter().filter_map(|(action, _)| planned.plan.actions[*action].device_class.clone());
-    classes.collect::<Vec<_>>().join("; ")
-}
-
-/// What the next build has to know to find out what there is to do.
-fn memory(key: ContentHash, planned: &Planned, parts: &[Part]) -> Memory {
-    let json = "invariant: summaries are plain data";
-    let group = |(asset, part): (&PlannedAsset, &Part)| {
-        let brief = Brief { device: device_of(planned, asset), ..part.brief.clone() };
-        Group {
-            name: asset.input.clone(),
-            actions: asset.actions.iter().map(|(action, _)| *action).collect(),
-            targets: vec![asset.target],
-            brief: serde_json::to_string(&brief).expect(json),
-            note: serde_json::to_vec(&as_fresh(&part.asset)).expect(json),
-        }
-    };
-    let groups = planned.assets.iter().zip(parts).map(group).collect();
-    Memory { key, files: planned.files.clone(), folders: planned.folders.clone(), groups }
-}
-
-/// Notes the process' peak memory while each action runs.
-struct Peaks<'a> {
-    inner: &'a dyn Observer,
-    peaks: Mutex<Vec<Option<u64>>>,
-}
-
-impl Observer for Peaks<'_> {
-    fn event(&self, event: &Event<'_>) {
-        match event {
-            Event::Started { .. } => memory::reset_peak(),
-            Event::Finished { action, state: ActionState::Ran { .. }, .. } => {
-                let mut peaks = self.peaks.lock().unwrap_or_else(PoisonError::into_inner);
-                if let Some(slot) = peaks.get_mut(*action) {
-                    *slot = memory::peak();
-                }
-            }
-            _ => {}
-        }
-        self.inner.event(event);
-    }
-}
-
-/// What the next build says of an asset if nothing changes.
-fn as_fresh(asset: &AssetSummary) -> AssetSummary {
-    let mut asset = asset.clone();
-    asset.state = "unchanged".into();
-    for stage in &mut asset.stages {
-        stage.state = StageState::Fresh;
-        stage.reason = None;
-        stage.peak_bytes = None;
-    }
-    asset
-}
-
-/// The stage that an action of the plan belongs to.
-fn stage_of(asset: &PlannedAsset, action: usize) -> &str {
-    asset.actions.iter().find(|(index, _)| *index == action).map_or("another asset's stage", |(_, name)| name)
-}
-
-/// What a build came to for `asset`.
-fn part(asset: &PlannedAsset, report: &BuildReport, peaks: &[Option<u64>]) -> Part {
-    let (mut brief, mut passing, mut errors) = (Brief::default(), Vec::new(), Vec::new());
-    let mut stages = Vec::new();
-    for (index, stage) in &asset.actions {
-        let action = &report.actions[*index];
-        let place = format!("{}, stage {stage}", asset.input);
-        let (state, reason) = match &action.state {
-            ActionState::Fresh => (StageState::Fresh, None),
-            ActionState::Ran { reason, .. } => (StageState::Ran, Some(reason.to_string())),
-            ActionState::WouldRun { reason } => (StageState::WouldRun, Some(reason.to_string())),
-            ActionState::DependsOn { on } => (StageState::Depends, Some(stage_of(asset, *on).to_owned())),
-            ActionState::Failed(error) => {
-                errors.extend(defects(error).into_iter().map(|d| format!("{place}: {d}")));
-                (StageState::Failed, Some(error.to_string()))
-            }
-            ActionState::Skipped { .. } => (StageState::Skipped, None),
-        };
-        let record = action.record.as_ref();
-        let stage_report: Value = record.and_then(|r| serde_json::from_slice(&r.report).ok()).unwrap_or(Value::Null);
-        passing.extend(action.warnings.iter().map(|w| format!("{place}: {w}")));
-        soft_trouble(&place, &stage_report, &mut brief);
-        stages.push(StageSummary {
-            stage: stage.clone(),
-            state,
-            reason,
-            seconds: record.map(|r| r.seconds),
-            peak_bytes: peaks.get(*index).copied().flatten(),
-            bytes: record.map_or(0, |r| r.outputs.iter().map(|o| o.length).sum()),
-            report: stage_report,
-        });
-    }
-    brief.stages = stages.len();
-    let target = &report.targets[asset.target];
-    let state = match &target.state {
-        TargetState::Unchanged => "unchanged",
-        TargetState::Written { .. } => "written",
-        TargetState::WouldWrite { .. } => "would-write",
-        TargetState::DependsOn { .. } => "depends",
-        TargetState::Failed(error) => {
-            errors.push(format!("{}: {error}", asset.output));
-            "failed"
-        }
-        TargetState::Skipped => "skipped",
-    };
-    let asset = AssetSummary {
-        input: asset.input.clone(),
-        output: asset.output.clone(),
-        state: state.into(),
-        bytes: target.length.unwrap_or(0),
-        stages,
-        resolved: None,
-    };
-    Part { asset, brief, passing, errors }
-}
-
-/// Each defect of a failed stage.
-pub(crate) fn defects(error: &ActionError) -> Vec<String> {
-    if let ActionError::Failed(inner) = error
-        && let Some(StageError::Import(import)) = inner.downcast_ref::<StageError>()
-    {
-        let family = import.to_string();
-        let family = family.split(':').next().unwrap_or_default();
-        return import.defects().iter().map(|d| format!("{family}: {d}")).collect();
-    }
-    vec![error.to_string()]
-}
-
-/// What reports say of budgets missed (`levels[].short`), of what was asked in vain (`short`), and of things repaired, replaced or left out (`repairs`, `warnings`).
-fn soft_trouble(place: &str, report: &Value, brief: &mut Brief) {
-    for (number, level) in report["levels"].as_array().into_iter().flatten().enumerate() {
-        if let Some(short) = level["short"].as_str() {
-            brief.short.push(format!("{place}, level {number}: {short}"));
-        }
-    }
-    for vain in report["short"].as_array().into_iter().flatten() {
-        brief.short.extend(vain.as_str().map(|text| format!("{place}: {text}")));
-    }
-    for repair in report["repairs"].as_array().into_iter().flatten() {
-        let what = repair["sentence"].as_str().or(repair["kind"].as_str()).unwrap_or("repaired");
-        let first = repair["first"].as_str().unwrap_or_default();
-        brief.warnings.push(format!("{place}: {what} ({} times, first {first})", repair["count"]));
-    }
-    for warning in report["warnings"].as_array().into_iter().flatten() {
-        if let Some(text) = warning.as_str() {
-            brief.warnings.push(format!("{place}: {text}"));
-        }
-    }
-}
-
-/// Why an output would be built again.
-#[derive(Debug, Serialize)]
-pub struct WhyOutcome {
-    /// The output, relative to the pipeline's folder.
-    pub output: String,
-    /// Whether a build would do nothing for it.
-    pub fresh: bool,
-    /// Each stage's verdict in order: id, and `fresh`, a reason, or what it depends on.
-    pub stages: Vec<WhyStage>,
-}
-
-/// One stage's verdict.
-#[derive(Debug, Serialize)]
-pub struct WhyStage {
-    /// The stage's id, or `output` for the file itself.
-    pub stage: String,
-    /// `fresh`, `stale`, `depends` or `fails`.
-    pub verdict: &'static str,
-    /// The first field that differs, with old and new value, in words.
-    pub text: Option<String>,
-    /// The same for programs.
-    pub reason: Option<kiln_engine::StaleReason>,
-}
-
-/// Why `output` would be built again by `build.pipeline`; `None` if that pipeline does not build it. Runs nothing.
-///
-/// # Errors
-/// As for [`Build::run`].
-pub fn why(build: &Build, output: &Path) -> Result<Option<WhyOutcome>, BuildError> {
-    let planned = build.plan(None)?;
-    let root = folder_of(&build.pipeline);
-    let wanted = absolute(output);
-    let Some(asset) = planned.assets.iter().find(|asset| absolute(&root.join(&asset.output)) == wanted) else {
-        return Ok(None);
-    };
-    let (mut engine, _) = build.engine();
-    let answer = engine.why(&planned.plan, asset.target)?;
-    let verdict = |stage: String, verdict: &Verdict| match verdict {
-        Verdict::Fresh => WhyStage { stage, verdict: "fresh", text: None, reason: None },
-        Verdict::Stale(reason) => {
-            WhyStage { stage, verdict: "stale", text: Some(reason.to_string()), reason: Some(reason.clone()) }
-        }
-        Verdict::DependsOn { on } => {
-            let text = format!("depends on {}", stage_of(asset, *on));
-            WhyStage { stage, verdict: "depends", text: Some(text), reason: None }
-        }
-        Verdict::Fails { message } => {
-            WhyStage { stage, verdict: "fails", text: Some(format!("would fail: {message}")), reason: None }
-        }
-    };
-    let mut stages: Vec<WhyStage> = Vec::new();
-    for (index, what) in &answer.actions {
-        stages.push(verdict(stage_of(asset, *index).to_owned(), what));
-    }
-    stages.push(verdict("output".into(), &answer.target));
-    let fresh = stages.iter().all(|s| s.verdict == "fresh");
-    Ok(Some(WhyOutcome { output: asset.output.clone(), fresh, stages }))
-}
-
 /// How a plan names a model: relative to the pipeline's folder.
 fn name_below(root: &Path, asset: &str) -> String {
     let plain = asset.strip_prefix("./").unwrap_or(asset);
@@ -634,15 +403,5 @@ fn name_below(root: &Path, asset: &str) -> String {
     match here.strip_prefix(root) {
         Ok(below) if here.is_file() => below.to_string_lossy().into_owned(),
         _ => plain.to_owned(),
-    }
-}
-
-/// The path without `.` and `..`, from the root; its folder's links resolved where it exists.
-fn absolute(path: &Path) -> PathBuf {
-    let full = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
-    let (folder, name) = (full.parent().map(Path::to_path_buf).unwrap_or_default(), full.file_name());
-    match (folder.canonicalize(), name) {
-        (Ok(folder), Some(name)) => folder.join(name),
-        _ => full,
     }
 }

@@ -1,6 +1,6 @@
 //! A build of one pipeline: the short way if nothing changed, else plan, run, and say what happened.
 //!
-//! Parts: [`part`] (what it came to for one asset, and what the next build is told of it), [`why`].
+//! Parts: `part` (what it came to for one asset, and what the next build is told of it), `why`.
 
 mod part;
 mod why;

@@ -266,7 +266,8 @@ impl Farm {
     }
 
     fn command(&self, more: &[&str]) -> Command {
-        let mut command = self.space.command(["build", "pipeline.toml", "--backend", "cpu", "--on", "slurm"]);
+        let backend: &[&str] = if more.contains(&"--backend") { &[] } else { &["--backend", "cpu"] };
+        let mut command = self.space.command([&["build", "pipeline.toml", "--on", "slurm"][..], backend].concat());
         let old = std::env::var_os("PATH").unwrap_or_default();
         let path = std::iter::once(repository("tests/slurm/fake").canonicalize().unwrap());
         let path = std::env::join_paths(path.chain(std::env::split_paths(&old))).unwrap();
@@ -329,6 +330,22 @@ fn the_configuration_reaches_sbatch_and_long_arrays_are_split() {
     assert!(submitted[0].contains("--array=0-1 ") && submitted[5].contains("--array=0-0 "), "{submitted:?}");
     assert!(!submitted[5].contains("--dependency"), "chunks do not wait for each other");
     assert_eq!(containers(&farm.space), expected(3));
+}
+
+#[test]
+fn stages_that_need_a_gpu_ask_for_one_and_no_other_does() {
+    if needs(kiln_gpu::Gpu::open(true).ok(), "a Vulkan adapter").is_none() {
+        return;
+    }
+    let whole = small("boundary-pair.glb");
+    whole.run(["build", "pipeline.toml", "--backend", "gpu"]).expect(0);
+    let farm = Farm::new(small("boundary-pair.glb"));
+    let report = farm.build("[slurm]\ngres = 'gpu:any:1'", &["--backend", "gpu", "--json"]).expect(0);
+    assert_eq!(ran(&report.json()), Vec::<String>::new(), "{}", report.stderr);
+    let submitted = farm.submitted();
+    let asking: Vec<&String> = submitted.iter().filter(|call| call.contains("--gres=gpu:any:1 ")).collect();
+    assert!(submitted.len() > 2 && asking.len() == 1, "the bake alone: {submitted:?}");
+    assert_eq!(containers(&farm.space), containers(&whole));
 }
 
 #[test]

@@ -64,8 +64,10 @@ pub(crate) fn action(
     }
     action.label = label;
     action.params = params(&StageSettings::Pack(options.clone()), &LAYOUT_KEYS);
-    // The container tells these, so they are part of what it is made from.
-    action = action.param("pipeline", made_by.pipeline).param("stages", stages).param("tool", TOOL);
+    // The container tells these, so they are part of what it is made from. Nearly every change changes the pipeline's hash: as an
+    // input it is explained after what the change did to the levels.
+    action = action.param("stages", stages).param("tool", TOOL);
+    action = action.input("pipeline", Source::Bytes(made_by.pipeline.0.as_slice().into()));
     if let Some(class) = made_by.device_class {
         action = action.param("device", class);
     }

@@ -250,6 +250,22 @@ fn ninja_runs_the_exported_graph_and_only_what_changed() {
     assert!(space.path("out/m1.kiln").is_file());
 }
 
+#[test]
+fn the_digests_of_a_plan_change_for_the_stages_that_a_changed_level_reaches_by_itself() {
+    let space = models(1);
+    let digests = || {
+        let plan = space.run(["plan", "pipeline.toml", "--backend", "cpu", "--json"]).expect(0).json();
+        let stages = plan["assets"][0]["stages"].as_array().unwrap().clone();
+        stages.into_iter().map(|stage| (stage["id"].to_string(), stage["digest"].to_string())).collect::<Vec<_>>()
+    };
+    let before = digests();
+    let text = String::from_utf8(space.read("pipeline.toml")).unwrap();
+    space.write("pipeline.toml", text.replace("keep = 0.5", "keep = 0.4"));
+    let changed: Vec<String> = digests().into_iter().filter(|now| !before.contains(now)).map(|(id, _)| id).collect();
+    // The container tells the pipeline's hash, so it is another one even where the levels come out the same.
+    assert_eq!(changed, ["\"lods\"", "\"pack\""]);
+}
+
 // --- the stand-in for Slurm ---
 
 /// A space whose command finds the stand-in and nothing else of Slurm.

@@ -7,8 +7,8 @@ use std::sync::Arc;
 
 use crate::context::Context;
 use crate::error::ActionError;
-use crate::hash::Fingerprint;
-use crate::manifest::{Field, Manifest, Topic, Value};
+use crate::hash::{ContentHash, Fingerprint};
+use crate::manifest::{Field, InputField, Manifest, Origin, Topic, Value};
 
 /// All actions of one build. Every path in it is relative to `root`, `/`-separated; `root` itself is never hashed.
 #[derive(Clone, Default)]
@@ -93,9 +93,16 @@ impl Action {
         self
     }
 
-    /// Digest of all that it declares beside its inputs: kind, version, parameters, libraries, classes of machine and device.
+    /// Digest of all that it declares beside files and what other actions give: kind, version, parameters, libraries, classes of
+    /// machine and device, bytes of the plan.
     pub fn declares(&self) -> Fingerprint {
-        Manifest::new(self.head(), Vec::new()).fingerprint()
+        let bytes = |input: &Input| match &input.source {
+            Source::Bytes(bytes) => {
+                Some(InputField { name: input.name.clone(), hash: Some(ContentHash::of(bytes)), origin: Origin::Bytes })
+            }
+            _ => None,
+        };
+        Manifest::new(self.head(), self.inputs.iter().filter_map(bytes).collect()).fingerprint()
     }
 
     /// The actions that it reads, each once, ascending.

@@ -10,7 +10,7 @@
 //!   stages[]  id       unique in the asset
 //!             kind, label
 //!             class    "cpu" or "gpu": what its machine must have
-//!             digest   of kind, version, parameters, libraries, classes of machine and device: what `--expect` refuses to differ
+//!             digest   of kind, version, parameters, libraries, classes of machine and device, bytes of the plan: `--expect` holds to it
 //!             command  argv; runs this stage alone where the cache has the results of `upstream`
 //!             inputs   files that it reads, as far as they are known before it runs; the others stand in its depfile
 //!             upstream ids of stages of the same asset
@@ -79,7 +79,7 @@ pub struct StageNode {
     pub label: String,
     /// `cpu` or `gpu`.
     pub class: &'static str,
-    /// Of all that it declares beside inputs.
+    /// Of all that it declares beside files and what other stages give.
     pub digest: String,
     /// Runs it.
     pub command: Vec<String>,

@@ -12,6 +12,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use kiln_engine::Dependencies;
+use kiln_pipeline::language::normal;
 
 /// Names paths as a build system knows them.
 struct Names<'a> {
@@ -30,18 +31,8 @@ impl Names<'_> {
         let full = self.root.join(path);
         let current = self.current.as_ref().filter(|_| full.is_absolute());
         let full = current.and_then(|current| full.strip_prefix(current).ok()).unwrap_or(&full).to_string_lossy();
-        let mut parts: Vec<&str> = Vec::new();
-        for part in full.split('/') {
-            match part {
-                "." => {}
-                "" if !parts.is_empty() => {}
-                ".." if parts.last().is_some_and(|last| !last.is_empty() && *last != "..") => {
-                    parts.pop();
-                }
-                part => parts.push(part),
-            }
-        }
-        if parts.is_empty() { ".".into() } else { parts.join("/") }
+        let name = normal(&full);
+        if name.is_empty() { ".".into() } else { name }
     }
 }
 

@@ -265,7 +265,7 @@ fn parent(
 }
 
 /// The path without `.` and with `..` taken back where a folder precedes it.
-pub(crate) fn normal(path: &str) -> String {
+pub fn normal(path: &str) -> String {
     let mut parts: Vec<&str> = Vec::new();
     for part in path.split('/') {
         match part {

@@ -48,7 +48,7 @@ mod tests;
 use std::io;
 use std::sync::Arc;
 
-pub use compose::LANGUAGE;
+pub use compose::{LANGUAGE, normal};
 pub use diagnostic::{Code, Diagnostic, Family, Origin, Severity, Source, Sources, has_errors, nearest, render_plain};
 pub use inputs::{AssetBuild, DirEntry, Expansion, expand_inputs};
 pub use length::{Length, Unit};

@@ -12,7 +12,7 @@
 //! are dead. A frame's checksum is verified when it is used. A damaged frame is skipped, a torn tail is cut, a missing file is an
 //! empty one: never an error.
 //!
-//! The index (`index.rs`) says where the frames of each asset lie, so that a build of few assets reads theirs alone. It holds for
+//! The index (`index`) says where the frames of each asset lie, so that a build of few assets reads theirs alone. It holds for
 //! one generation and length of this file; at any other, all of it is read.
 
 use std::collections::{HashMap, HashSet};
